@@ -290,6 +290,13 @@ class Block:
         """Return why an opaque block has no equations that can be called, with a hint; empty where it has."""
         return "", ""
 
+    def mode(self, p: Any) -> Any:
+        """Return what changes the equations of an opaque block at events (`rotorsim.model.mode.Mode`), or None.
+
+        p: parameter values, each by attribute.
+        """
+        return None
+
     def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
         """Return messages on options and parameter values that contradict one another (default: none)."""
         return []

@@ -35,6 +35,7 @@ from rotorsim.block import (
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, Entry, FmuVariable, ModelDescription
 from rotorsim.fmi.functions import functions_of, held_inputs, moving_inputs
+from rotorsim.fmi.mode import FmuMode
 from rotorsim.fmi.runtime.slave import describe_fmu
 
 _INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
@@ -228,6 +229,7 @@ def _made(
         "category": "fmu",
         "opaque": True,
         "source": description.name,
+        "fmu_block": "",
         "fmu_path": path,
         "fmu_description": description,
         "fmu_options": options,
@@ -278,7 +280,7 @@ def _made(
             when=lambda option: _has_states(option, description),
             doc="those of the FMU, in its units",
         )
-    body |= {"equations": _equations, "starts": _starts, "untraced": _not_traced}
+    body |= {"equations": _equations, "starts": _starts, "untraced": _not_traced, "mode": _mode}
     return type("Fmu", (Block,), body)
 
 
@@ -345,6 +347,16 @@ def _starts(self: Block, p: Any) -> dict[str, Any]:
     return {"states": functions_of(block).call("x0", None, (False, False, True, True), given)}
 
 
+def _mode(self: Block, p: Any) -> FmuMode | None:
+    """Return the mode of an FMU that may have events, or wants to be told of completed steps."""
+    block: Any = self
+    description = block.fmu_description
+    if block.untraced()[0] or not _has_states(block.option, description):
+        return None
+    values = np.array(ca.DM(ca.evalf(_values(block, p, held_inputs(block))))).ravel()
+    return FmuMode(functions_of(block).equations, values)
+
+
 def _values(block: Any, p: Any, held: Mapping[str, FmuPort]) -> Any:
     """Return the values of parameters, then of inputs that are set once."""
     own = [getattr(p, name) for name in block.fmu_parameters]
@@ -374,13 +386,21 @@ def _has_states(option: Any, description: ModelDescription) -> bool:
     return bool(option.interface != "cs" and "me" in description.kinds and description.states)
 
 
+@lru_cache(maxsize=256)
+def _of_block(made: type[Block], name: str) -> type[Block]:
+    """Return the class for one block of a diagram: each has a mode of its own, and so functions of its own."""
+    own = {"__doc__": made.__doc__, "type_name": "fmu", "category": "fmu", "fmu_block": name}
+    return type("Fmu", (made,), own)
+
+
 def block_class(
-    path: str | Path, values: Mapping[str, Any] | None = None, signals: frozenset[str] = frozenset()
+    path: str | Path, values: Mapping[str, Any] | None = None, signals: frozenset[str] = frozenset(), name: str = ""
 ) -> type[Block]:
     """Return the block class of an FMU file. Raises RotorsimError for what cannot be read.
 
     values: those given to the block, of which sizes of arrays give its ports their shapes. signals: names of ports that
-    somebody wants: variables inside the FMU among them become outputs.
+    somebody wants: variables inside the FMU among them become outputs. name: of the block, where it is one of a
+    diagram.
     """
     path = Path(path).resolve()
     try:
@@ -400,4 +420,5 @@ def block_class(
         and value != options[name].default
     )
     own: Mapping[str, FmuPort] = made.fmu_outputs  # type: ignore[attr-defined]
-    return _made(path, stamp, sizes, signals) if sizes or not signals <= own.keys() else made
+    made = _made(path, stamp, sizes, signals) if sizes or not signals <= own.keys() else made
+    return _of_block(made, name) if name else made  # type: ignore[arg-type]

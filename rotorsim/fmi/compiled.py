@@ -37,7 +37,7 @@ class _Ready(ctypes.Structure):
 
 class _Fmu(ctypes.Structure):
     _fields_ = [
-        *((n, _INT) for n in ("version", "n_x", "n_u", "n_y", "n_z", "n_p", "exact", "timed", "n_pairs")),
+        *((n, _INT) for n in ("version", "n_x", "n_u", "n_y", "n_z", "n_p", "exact", "timed", "guarded", "n_pairs")),
         ("counts", _INT * 4),
         *((n, _POINTER) for n in ("set_time", "set_x", "get_xdot", "get_z", "set_real", "get_real", "directional")),
         ("refs", _POINTER * 4),
@@ -46,6 +46,7 @@ class _Fmu(ctypes.Structure):
         ("n_ready", _INT),
         ("ready", _POINTER),
         ("pairs", _POINTER),
+        ("seen", _POINTER),
         ("work", _POINTER),
     ]
 
@@ -86,6 +87,7 @@ class InProcess:
         self._pair_of: list[tuple[np.ndarray, np.ndarray, Slave, Slave] | None] = [None] * self._most
         self._next = 0
         self._bound = False
+        self.guarded = True
 
     @staticmethod
     def why_not(description: ModelDescription, u: Sequence[str], y: Sequence[str]) -> str:
@@ -107,13 +109,15 @@ class InProcess:
         scales: Sequence[np.ndarray],
         nominals: np.ndarray,
         relative: float,
+        seen: np.ndarray,
         *,
         exact: bool,
         timed: bool,
     ) -> None:
         """Take the functions of the library of an instance.
 
-        scales: of inputs and outputs, (n, 2); nominals (n_x,); relative: step of central differences.
+        scales: of inputs and outputs, (n, 2); nominals (n_x,); relative: step of central differences; seen
+        (n_u + n_z,): gets inputs and event indicators where x' was asked for last.
         """
         calls = slave.worker.session.calls  # type: ignore[attr-defined]
         description, made = self.description, self.made
@@ -139,15 +143,21 @@ class InProcess:
         for field, name in wanted.items():
             setattr(made, field, ctypes.cast(calls.function(name), _POINTER).value)
         n, m = n_x + n_y, n_x + n_u
-        # raw inputs, indicators, two times [x'; y], a point; zeros; a direction, rows, a direction in p
-        work = np.zeros(n_u + description.n_events + 2 * n + m + (n_p + m + 1) + m + n + n_p)
+        # raw inputs, two times [x'; y], a point; zeros; a direction, rows, a direction in p
+        work = np.zeros(n_u + 2 * n + m + (n_p + m + 1) + m + n + n_p)
         held = [np.array(array, float) for array in (*scales, nominals)]
-        self._keep += [work, *held]
+        self._keep += [work, seen, *held]
         made.u_scales, made.y_scales, made.nominals = (array.ctypes.data for array in held)
         made.relative = relative
+        made.seen, made.guarded = seen.ctypes.data, int(self.guarded)
         made.work, made.pairs = work.ctypes.data, ctypes.addressof(self._pairs)
         made.ready, made.n_ready = ctypes.addressof(self._ready), READY
         self._bound = True
+
+    def guard(self, on: bool) -> None:
+        """Say whether an event ends the equations."""
+        self.guarded = on
+        self.made.guarded = int(on)
 
     @property
     def is_bound(self) -> bool:

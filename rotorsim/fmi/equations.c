@@ -33,10 +33,12 @@ typedef struct {
 } rs_ready;
 
 /* n: states, inputs, outputs, event indicators, parameters. exact: it offers directional derivatives; timed: it may
-   follow the time itself. relative: step of central differences, of a value or else its nominal. Scales (n, 2): SI = factor value + offset. refs: of inputs, outputs, [x'; y] and [x; u], how
-   many of each, which with arrays are fewer than the values. work: zeros, `work_size` in compiled.py. */
+   follow the time itself; guarded: an event ends the equations. relative: step of central differences, of a value or
+   else its nominal. Scales (n, 2): SI = factor value + offset. refs: of inputs, outputs, [x'; y] and [x; u], how many of
+   each, which with arrays are fewer than the values. seen: inputs, as the FMU has them, and event indicators where x'
+   was asked for last. work: zeros, as many as compiled.py says. */
 typedef struct {
-    int64_t version, n_x, n_u, n_y, n_z, n_p, exact, timed, n_pairs;
+    int64_t version, n_x, n_u, n_y, n_z, n_p, exact, timed, guarded, n_pairs;
     int64_t counts[4];
     void *set_time, *set_x, *get_xdot, *get_z, *set_real, *get_real, *directional;
     const uint32_t *refs[4];
@@ -45,7 +47,7 @@ typedef struct {
     int64_t n_ready;
     const rs_ready *ready;
     const rs_pair *pairs;
-    double *work;
+    double *seen, *work;
 } rs_fmu;
 
 /* Some rows of [x'; y]; groups: whether t, x, u, p are arguments. slow: gets self, arguments and results. */
@@ -88,14 +90,15 @@ static int set_point(const rs_fmu *f, const rs_instance *i, double t, const doub
 /* Put [x'; y] at a point into out, as far as it is wanted; return whether all is well and no event is due. */
 static int evaluated(const rs_fmu *f, const rs_instance *i, double t, const double *x, const double *u, int rates,
                      int outputs, double *out) {
-    if (t >= i->due || set_point(f, i, t, x, u) > 1) return 0;
+    if ((f->guarded && t >= i->due) || set_point(f, i, t, x, u) > 1) return 0;
     if (rates && f->n_x && ((get_)f->get_xdot)(i->instance, out, (size_t)f->n_x) > 1) return 0;
     if (rates && f->n_z) {
-        double *z = f->work + f->n_u;
+        double *z = f->seen + f->n_u;
         if (((get_)f->get_z)(i->instance, z, (size_t)f->n_z) > 1) return 0;
-        for (int64_t k = 0; k < f->n_z; k++)
+        for (int64_t k = 0; k < f->n_z && f->guarded; k++)
             if ((z[k] > 0.0) != (i->sides[k] > 0.0)) return 0;
     }
+    if (rates && f->n_u) memcpy(f->seen, f->work, (size_t)f->n_u * sizeof(double));
     if (outputs && f->n_y) {
         double *y = out + f->n_x;
         if (access_real(f, f->get_real, i->instance, 1, y, f->n_y) > 1) return 0;
@@ -150,7 +153,7 @@ static int any(const double *a, int64_t n) {
 RS_EXPORT void rs_fmu_values(void *context, const double *arguments, double *results) {
     const rs_function *self = context;
     const rs_fmu *f = self->fmu;
-    double *out = f->work + f->n_u + f->n_z, *zeros = out + 2 * (f->n_x + f->n_y) + f->n_x + f->n_u;
+    double *out = f->work + f->n_u, *zeros = out + 2 * (f->n_x + f->n_y) + f->n_x + f->n_u;
     const double *part[4];
     int rates, outputs;
     parts(self, arguments, part, zeros);
@@ -168,7 +171,7 @@ static int along_states(const rs_fmu *f, const double *const *part, double *dire
     const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u;
     double room = INFINITY, *other = out + n;
     const rs_instance *i = ready(f, part[3]);
-    if (!i || *part[0] >= i->due) return 0;
+    if (!i || (f->guarded && *part[0] >= i->due)) return 0;
     if (f->exact) {
         if (set_point(f, i, *part[0], part[1], part[2]) > 1) return 0;
         for (int64_t k = 0; k < f->n_u; k++) direction[f->n_x + k] /= f->u_scales[2 * k];
@@ -233,7 +236,7 @@ RS_EXPORT void rs_fmu_forward(void *context, const double *arguments, double *re
     const rs_function *self = context;
     const rs_fmu *f = self->fmu;
     const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u;
-    double *out = f->work + f->n_u + f->n_z, *zeros = out + 2 * n + m, *direction = zeros + f->n_p + m + 1;
+    double *out = f->work + f->n_u, *zeros = out + 2 * n + m, *direction = zeros + f->n_p + m + 1;
     const double *part[4], *seed[4];
     const double *rest = parts(self, arguments, part, zeros);
     int rates, outputs;
@@ -258,7 +261,7 @@ RS_EXPORT void rs_fmu_reverse(void *context, const double *arguments, double *re
     const rs_function *self = context;
     const rs_fmu *f = self->fmu;
     const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u, sizes[4] = {1, f->n_x, f->n_u, f->n_p};
-    double *out = f->work + f->n_u + f->n_z, *zeros = out + 2 * n + m, *direction = zeros + f->n_p + m + 1;
+    double *out = f->work + f->n_u, *zeros = out + 2 * n + m, *direction = zeros + f->n_p + m + 1;
     double *rows = direction + m, *seed = rows + n, *to = results;
     const double *part[4];
     const double *weights = parts(self, arguments, part, zeros) + self->n_rows;

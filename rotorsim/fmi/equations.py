@@ -8,7 +8,8 @@ between them. Those by x and u come from its directional derivatives, where it o
 differences.
 
 These are equations of one mode, that in which the FMU begins. Where an event would change it, because an indicator
-changes its side or a time event is due, there are none, and that is an error.
+changes its side or a time event is due, there are none, and that is an error, but for a run that carries events out
+(`rotorsim.fmi.mode`).
 """
 
 from __future__ import annotations
@@ -61,6 +62,8 @@ class FmuEquations:
         self._fmu: Fmu | None = None
         self._slaves: OrderedDict[bytes, Slave] = OrderedDict()
         self._modes: dict[int, tuple[np.ndarray, float]] = {}  # sides of event indicators, next time event
+        self._guarded = True
+        self.seen = np.zeros(self.n_u + description.n_events)  # raw inputs, indicators, where x' was asked for last
         self._exact, self._checked = self._has_directional(), False
         stated = [entry.variable.nominal for entry in description.resolve(description.states)]
         self._nominals = np.array([abs(value) if value else 1.0 for value in stated], float)
@@ -90,7 +93,7 @@ class FmuEquations:
         """Return x' (n_x,)."""
         with self._instance(p) as slave:
             slope = slave.derivatives(t, x, self._of_fmu(u))
-            self._refuse_events(slave, t)
+            self._look(slave, t, u)
             return slope
 
     def values(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -104,7 +107,7 @@ class FmuEquations:
         """Return x' and y, (n_x + n_y,)."""
         with self._instance(p) as slave:
             slope, y = slave.evaluate(t, x, self._of_fmu(u))
-            self._refuse_events(slave, t)
+            self._look(slave, t, u)
         return np.concatenate([slope, self.y_scales[:, 0] * y + self.y_scales[:, 1]])
 
     def jacobian(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray, wanted: Sequence[bool]) -> np.ndarray:
@@ -200,8 +203,8 @@ class FmuEquations:
 
     def _bind(self, slave: Slave) -> None:
         if self.native is not None and not self.native.is_bound:
-            scales, exact = (self.u_scales, self.y_scales[self._smooth]), self._exact
-            self.native.bind(slave, scales, self._nominals, RELATIVE_STEP, exact=exact, timed=self.timed)
+            scales, about = (self.u_scales, self.y_scales[self._smooth]), {"exact": self._exact, "timed": self.timed}
+            self.native.bind(slave, scales, self._nominals, RELATIVE_STEP, self.seen, **about)
 
     # -- instances -----------------------------------------------------------------------------------------------------
 
@@ -236,20 +239,53 @@ class FmuEquations:
             self.native.forget(slave)
         slave.free()
 
-    def _refuse_events(self, slave: Slave, t: float) -> None:
-        """Raise FmuError where the mode of an instance would change at its present point."""
+    def _look(self, slave: Slave, t: float, u: np.ndarray) -> None:
+        """Note inputs and event indicators of the present point; raise FmuError where the mode would change there."""
         self._refuse_time_event(slave, t)
+        self.seen[: self.n_u] = self._of_fmu(u)
         sides = self._modes[id(slave)][0]
         if not sides.size:
             return
-        left = np.flatnonzero((slave.event_indicators(t, None) > 0) != sides)
-        if left.size:
+        self.seen[self.n_u :] = z = slave.event_indicators(t, None)
+        left = np.flatnonzero((z > 0) != sides)
+        if left.size and self._guarded:
             raise slave.event_refused(f"has an event: indicator {left[0] + 1} changes its side", t)
 
     def _refuse_time_event(self, slave: Slave, t: float) -> None:
         due = self._modes[id(slave)][1]
-        if t >= due:
+        if t >= due and self._guarded:
             raise slave.event_refused(f"has a time event at t = {due:.6g} s", t)
+
+    # -- of a run that carries events out ------------------------------------------------------------------------------
+
+    def guard(self, on: bool) -> None:
+        """Say whether the equations end where the mode would change, or go on as if it did not."""
+        self._guarded = on
+        if self.native is not None:
+            self.native.guard(on)
+
+    def at_work(self, p: np.ndarray) -> Slave:
+        """Return the instance with parameters p, made where there is none."""
+        with self._instance(p) as slave:
+            return slave
+
+    def mode(self, p: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return which event indicators (n_z,) are above zero in the mode, and the time [s] of the next time event."""
+        return self._modes[id(self.at_work(p))]
+
+    def set_mode(self, p: np.ndarray, sides: np.ndarray, due: float) -> None:
+        """Take another mode, after an event."""
+        slave = self.at_work(p)
+        self._modes[id(slave)] = sides, due
+        if self.native is not None:
+            self.native.forget(slave)
+            self.prefer(p)
+
+    def discard(self, p: np.ndarray) -> None:
+        """Free the instance with parameters p: the next one begins anew."""
+        slave = self._slaves.pop(p.tobytes(), None)
+        if slave is not None:
+            self._free(slave)
 
     def _initialised(self, u: np.ndarray, p: np.ndarray) -> Slave:
         """Return a new instance with parameters p, initialised with inputs u."""

@@ -285,7 +285,10 @@ def moving_inputs(block: Any) -> dict[str, Any]:
 
 
 def functions_of(block: Any) -> FmuFunctions:
-    """Return the functions of a block of type fmu; the same for the same file with equal options."""
+    """Return the functions of a block of type fmu; the same for the same block and file, with equal options.
+
+    Blocks do not share them: each has a mode of its own.
+    """
     option = block.option
     texts = {
         item.variable.name: item.of_fmu(getattr(option, key))
@@ -297,7 +300,7 @@ def functions_of(block: Any) -> FmuFunctions:
     stat, sizes = block.fmu_path.stat(), sorted(block.fmu_description.sizes.items())
     digest = _digest(str(block.fmu_path), (stat.st_mtime_ns, stat.st_size))
     ports = [*block.fmu_outputs]
-    identity = repr((digest, bool(option.in_process), sorted(texts.items(), key=str), sizes, ports))
+    identity = repr((block.fmu_block, digest, bool(option.in_process), sorted(texts.items(), key=str), sizes, ports))
     if identity not in _known:
         equations = FmuEquations(
             block.fmu_path,

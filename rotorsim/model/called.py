@@ -59,6 +59,12 @@ def has_failed() -> bool:
     return bool(_failures)
 
 
+def event_that_waits() -> float | None:
+    """Return the time [s] of the event that has ended a part's equations; None where nothing did, or a failure."""
+    first = _failures[0] if _failures else None
+    return first.time if getattr(first, "kind", "") == "event" else None  # type: ignore[union-attr]
+
+
 def forget_failures() -> None:
     """Forget what failed before."""
     _failures.clear()

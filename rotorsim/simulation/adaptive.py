@@ -15,9 +15,11 @@ from rotorsim.model.called import raise_failure
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
 from rotorsim.simulation.failure import Verdict, failed_inside, growth, interrupted
+from rotorsim.simulation.switching import SwitchingInstance
 
 IMPLICIT = {"radau", "bdf", "lsoda"}
 MOST_EVENTS = 1_000_000
+AT = 1e-9  # of a step of the diagram: how close to an event is at it
 
 
 def run_adaptive(
@@ -40,6 +42,9 @@ def run_adaptive(
     solver = model.diagram.solver
     p, end = instance.p, n_steps * h  # type: ignore[attr-defined]
     crossing = _events(model, p, instance)
+    switching = instance if isinstance(instance, SwitchingInstance) else None
+    if switching is not None:
+        crossing += switching.crossings()
     options: dict[str, Any] = {"method": ADAPTIVE[method], "rtol": solver.rtol, "atol": solver.atol}
     if method in IMPLICIT:
         options["jac"] = lambda t, x: _sound(np.array(model.jacobian(t, x, instance.z, p)))
@@ -47,21 +52,24 @@ def run_adaptive(
     rows = np.empty((len(grid), instance.n_y))
     counters = {"steps": 0, "evaluations": 0, "events": 0, "jacobians": 0}
     t, filled, verdict = 0.0, 0, Verdict()
+    x = np.array(instance.x)
 
     def slope(t: float, x: np.ndarray) -> np.ndarray:
         return _sound(instance.derivative(t, x))
 
-    instance.start(0.0)
-    x = np.array(instance.x)
     try:
+        instance.start(0.0)
+        x = np.array(instance.x)
         while t < end:
             stop = min(instance.next_hit(), end)
+            if switching is not None:
+                stop = min(stop, switching.next_time, t + h if switching.stepwise else end)
             part = solve_ivp(slope, (t, stop), x, events=crossing, dense_output=True, **options)
             counters["steps"] += len(part.t) - 1
             counters["evaluations"] += part.nfev
             counters["jacobians"] += part.njev
             reached = float(part.t[-1])
-            while filled < len(grid) and (grid[filled] < reached or (grid[filled] <= reached and reached >= end)):
+            while filled < len(grid) and grid[filled] < reached - AT * h:  # at an event is behind it
                 rows[filled] = _sound(instance.record(grid[filled], part.sol(grid[filled])))
                 filled += 1
             if part.status < 0 or not np.isfinite(part.y[:, -1]).all():
@@ -70,7 +78,7 @@ def run_adaptive(
             x, t = np.array(part.y[:, -1]), reached
             if part.status == 1:  # step over the crossing: far enough to be behind it, too little to matter
                 counters["events"] += 1
-                beyond = 1e-9 * h
+                beyond = AT * h
                 x, t = x + beyond * instance.derivative(t + beyond, x), t + beyond
                 if counters["events"] > MOST_EVENTS:
                     verdict = Verdict("diverged", f"more than {MOST_EVENTS} zero crossings until t = {t:.6g} s")
@@ -78,6 +86,8 @@ def run_adaptive(
             elif t < end:
                 instance.x[:] = x
                 instance.sample(t)
+            if switching is not None:
+                x = switching.carry_out_due(t, x, h)
             if progress is not None:
                 progress(t / end)
     except KeyboardInterrupt:
@@ -85,7 +95,7 @@ def run_adaptive(
     except RotorsimError as error:
         verdict = failed_inside(error, t)
     instance.x[:] = x
-    if verdict.status == "finished" and filled == len(grid) - 1:  # the last crossing lay on the end
+    if verdict.status == "finished" and filled == len(grid) - 1:
         try:
             rows[filled] = _sound(instance.record(grid[filled], x))
             filled += 1

@@ -19,10 +19,12 @@ from rotorsim.model.input_limits import input_limits, passed_limit
 from rotorsim.model.instance import Instance, make_instance
 from rotorsim.simulation.failure import Verdict, describe_failure, failed_inside, interrupted
 from rotorsim.simulation.result import Result, cut
+from rotorsim.simulation.switching import SwitchingInstance, carrying_out_events
 from rotorsim.simulation.validity import Run, Stretch, judge, loose_tolerance, stretches_of
 
 LARGEST_RESIDUAL = 1e-9  # of algebraic loops
 LARGEST_RECORD = 1e9  # bytes; summing up and writing takes two to three times as much for a while
+UNKNOWN_ERROR = "the error of the step was not estimated: a part had events, and does not let its state be saved"
 Progress = Callable[[float], None]
 
 
@@ -82,30 +84,39 @@ def simulate(
                 "(--set solver.record_every=...), fewer signals, or a shorter run",
             )
         )
-    stretches: list[Stretch] = []
-    if chosen == "rk4":
-        outcome = _run_rk4(model, instance, n_steps, h, every, progress, stretches)
-    else:
-        from rotorsim.simulation.adaptive import run_adaptive
+    with carrying_out_events(model, instance, p) as at_work:
+        stretches: list[Stretch] = []
+        if chosen == "rk4":
+            outcome = _run_rk4(model, at_work, n_steps, h, every, progress, stretches)
+        else:
+            from rotorsim.simulation.adaptive import run_adaptive
 
-        outcome = run_adaptive(model, instance, chosen, n_steps, h, every, progress)
-    time, rows, verdict, counters = outcome
-    counters["compile_cpu_seconds"] = prepared - begun
-    ran = clock.process_time()
-    counters["run_cpu_seconds"] = ran - prepared
-    signals, residuals = cut(rows, {name: model.shape_of(name) for name in watched})
+            outcome = run_adaptive(model, at_work, chosen, n_steps, h, every, progress)
+        time, rows, verdict, counters = outcome
+        counters["compile_cpu_seconds"] = prepared - begun
+        if isinstance(at_work, SwitchingInstance):
+            counters["part_events"] = at_work.events
+        ran = clock.process_time()
+        counters["run_cpu_seconds"] = ran - prepared
+        signals, residuals = cut(rows, {name: model.shape_of(name) for name in watched})
+        lost = isinstance(at_work, SwitchingInstance) and not at_work.can_go_back
+        if lost:
+            stretches.clear()
+        if verdict.status == "finished":
+            run = Run(model, at_work, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
+            try:
+                verdict = judge(run)
+            except RotorsimError as error:
+                verdict = replace(verdict, message=f"it was not checked: {error.problems[0].what}")
+            if lost and chosen == "rk4" and not verdict.message:
+                verdict = replace(verdict, message=UNKNOWN_ERROR)
     if verdict.status == "finished":
-        run = Run(model, instance, watched, time, rows, n_steps * h, h if chosen == "rk4" else None, stretches)
-        try:
-            verdict = judge(run)
-        except RotorsimError as error:
-            verdict = replace(verdict, message=f"it was not checked: {error.problems[0].what}")
         if verdict.error is not None:
             counters["step_error"] = verdict.error
         too_far = passed_limit(limits, time, signals)
-        if too_far and verdict.status == "finished":
+        if too_far:
             verdict = Verdict("diverged", too_far)
-        if verdict.status == "finished" and not verdict.message and chosen != "rk4":
+        elif not verdict.message and chosen != "rk4":
             verdict = Verdict(message=loose_tolerance(model, signals, solver.atol))
         counters["check_cpu_seconds"] = clock.process_time() - ran
     if residuals.shape[1]:
@@ -194,7 +205,7 @@ def _run_rk4(
     """Take the steps; ``stretches`` receives the states from which parts of them can be repeated."""
     ahead = stretches_of(n_steps)
     rows = np.empty((n_steps // every + 1, instance.n_y))
-    n = first = 0
+    n = first = until = 0
     chunk, verdict = n_steps if progress is None else 1000, Verdict()
     chunk = min(chunk, 10_000_000)
     try:
@@ -225,7 +236,7 @@ def _run_rk4(
         verdict = interrupted(n * h)
     except RotorsimError as error:  # in a step of the stretch that was run last
         at = int((getattr(error, "time", None) or 0.0) / h + 1e-9)
-        n = _sound_until(rows, first, min(max(at, first), n), every)
+        n = _sound_until(rows, first, min(max(at, first), until), every)
         verdict = failed_inside(error, n * h)
     kept = n_steps // every + 1 if verdict.status == "finished" and n_steps % every == 0 else -(-n // every)
     time = np.arange(kept) * every * h

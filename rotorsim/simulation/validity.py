@@ -274,9 +274,9 @@ def _step_error(run: Run, parts: int = 1) -> tuple[float | None, str]:
     Short stretches are repeated at half the step, from the same states: of a method of order 4 the difference is
     15/16 of the error. Source: Hairer, Norsett & Wanner, Solving ODEs I, sec. II.4 (extrapolation).
     """
-    if run.h is None:
+    if run.h is None or not run.stretches:
         return None, ""
-    if not run.stretches or not run.names:
+    if not run.names:
         return 0.0, ""
     errors = np.max([_errors(run, run.h, stretch, parts) for stretch in run.stretches], axis=0)
     return float(errors.max()), run.names[int(np.argmax(errors))]

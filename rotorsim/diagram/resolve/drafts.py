@@ -137,7 +137,7 @@ class Drafter:
         wanted = frozenset(self._signals.get(raw.name, ()))
         try:
             module = import_module(FROM_FILE[raw.type_name])
-            cls: type[Block] = module.block_class((folder or Path()) / raw.file, given, wanted)
+            cls: type[Block] = module.block_class((folder or Path()) / raw.file, given, wanted, raw.name)
         except RotorsimError as error:
             for problem in error.problems:
                 self.problems.error(

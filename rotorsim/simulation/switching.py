@@ -1,0 +1,265 @@
+"""A diagram at work whose parts change their equations at events (FMUs for Model Exchange), as an instance.
+
+Compiled steps go on until an event is due inside one; that step is taken again, and ends at the event.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.model.called import event_that_waits, forget_failures, has_failed, raise_failure
+from rotorsim.model.compiled import Model
+from rotorsim.model.instance import Instance
+from rotorsim.model.mode import Mode, modes_of
+from rotorsim.simulation.event_steps import EventSteps, rounding
+
+AHEAD = 64, 65536  # steps at once: first, and at most; what an event is in is computed again from the last start
+MOST_ITERATIONS = 100  # of one event, until no part changes the inputs of another
+
+
+@dataclass(frozen=True)
+class _Saved:
+    inner: Any
+    modes: tuple[Any, ...]
+    sides: np.ndarray
+    next_time: float
+    touching: bool
+    clock: float
+
+
+@contextmanager
+def carrying_out_events(model: Model, instance: Instance, p: np.ndarray) -> Iterator[Instance]:
+    """Give an instance of a diagram with parameters p (n_p,) that carries out the events of its parts, if it has any.
+
+    Afterwards these parts are as they begin for all others.
+    """
+    modes = modes_of(model, p)
+    if not modes:
+        yield instance
+        return
+    try:
+        yield SwitchingInstance(model, instance, modes)
+    finally:
+        for mode, _ in modes:
+            mode.end()
+
+
+class SwitchingInstance(EventSteps):
+    """An instance (`rotorsim.model.instance.Instance`) that carries out the events of its parts.
+
+    events: how many were carried out. stepwise: a part wants to be told of every completed step.
+    """
+
+    def __init__(self, model: Model, inner: Instance, modes: Sequence[tuple[Mode, slice]]) -> None:
+        super().__init__(sum(mode.n_indicators for mode, _ in modes))
+        self.inner, self.modes, self._name = inner, tuple(modes), model.diagram.name
+        self.path, self.n_y = inner.path, inner.n_y
+        self.events = 0
+        self.stepwise = any(mode.reports for mode, _ in modes)
+        self._guard(False)
+        self._ahead = AHEAD[0]
+        self._held: Any = None  # the instance before the step that is taken
+        self._row = np.empty((1, inner.n_y))
+
+    @property
+    def x(self) -> np.ndarray:
+        """States (n_x,)."""
+        return self.inner.x
+
+    @x.setter
+    def x(self, values: np.ndarray) -> None:
+        self.inner.x[:] = values
+
+    @property
+    def z(self) -> np.ndarray:
+        """Discrete states (n_z,)."""
+        return self.inner.z
+
+    @z.setter
+    def z(self, values: np.ndarray) -> None:
+        self.inner.z[:] = values
+
+    @property
+    def can_go_back(self) -> bool:
+        """Whether all that was saved can be restored."""
+        return all(mode.can_go_back for mode, _ in self.modes)
+
+    @property
+    def p(self) -> np.ndarray:
+        """Parameters (n_p,)."""
+        return np.asarray(self.inner.p)  # type: ignore[attr-defined]
+
+    def start(self, t: float) -> None:
+        """Begin at t; inputs other than those with which a part was initialised can make an event there."""
+        for mode, _ in self.modes:
+            mode.begin()
+        self.inner.start(t)
+        self.next_time = min(mode.due for mode, _ in self.modes)
+        self.sides = np.concatenate([np.where(mode.sides(), 1.0, -1.0) for mode, _ in self.modes])
+        if self.next_time <= t or self._crossed(self._present(t)).any():
+            self._events(t, 0.0)
+        else:
+            self._take_sides(t)
+
+    def run(self, n0: int, n1: int, t0: float, h: float, every: int, rows: np.ndarray) -> int:
+        """Take the steps n0 to n1 - 1, as `Instance` says. Raises RotorsimError where a part fails at an event."""
+        first, n = -(-n0 // every), n0
+        while n < n1:
+            if self.stepwise:
+                self._careful(n, t0, h, every, rows, first)
+                n += 1
+                continue
+            begun, until, saved = n, min(n + self._ahead, n1), self.inner.save()
+            self._guard(True)
+            n = self.inner.run(begun, until, t0, h, every, rows[-(-begun // every) - first :])
+            self._guard(False)
+            due = event_that_waits()
+            if due is None:
+                if has_failed() or n < until:
+                    return n
+                self._ahead = min(2 * self._ahead, AHEAD[1])
+                continue
+            forget_failures()
+            self.inner.restore(saved)
+            step = int((due - t0) / h + 1e-9)  # in which the event is due, or behind the one at whose end it is
+            n = max(begun, step - 1)
+            if n > begun:
+                self.inner.run(begun, n, t0, h, every, rows[-(-begun // every) - first :])
+                raise_failure()
+            while n <= min(step, n1 - 1):
+                self._careful(n, t0, h, every, rows, first)
+                n += 1
+            self._ahead = AHEAD[0]
+        return n
+
+    def derivative(self, t: float, x: np.ndarray) -> np.ndarray:
+        """Return x' (n_x,)."""
+        return self.inner.derivative(t, x)
+
+    def record(self, t: float, x: np.ndarray) -> np.ndarray:
+        """Return the recorded signals (n_y,)."""
+        return self.inner.record(t, x)
+
+    def sample(self, t: float) -> None:
+        """Carry out the sample hits due at t."""
+        self.inner.sample(t)
+
+    def next_hit(self) -> float:
+        """Return the time of the next sample hit."""
+        return self.inner.next_hit()
+
+    def save(self) -> Any:
+        """Return what `restore` needs."""
+        modes = tuple(mode.save() for mode, _ in self.modes)
+        return _Saved(self.inner.save(), modes, self.sides.copy(), self.next_time, self.touching, self.clock)
+
+    def restore(self, saved: Any) -> None:
+        """Go back. Raises RotorsimError where events came between and a part cannot be set back."""
+        self.inner.restore(saved.inner)
+        for (mode, _), own in zip(self.modes, saved.modes, strict=True):
+            mode.restore(own)
+        self.sides, self.next_time = saved.sides.copy(), saved.next_time
+        self.touching, self.clock = saved.touching, saved.clock
+        self._forget_after(self.clock)
+
+    # -- for methods that choose their own steps -----------------------------------------------------------------------
+
+    def crossings(self) -> list[Callable[[float, np.ndarray], float]]:
+        """Return functions of t and x, each of which falls through zero where an event indicator leaves its side."""
+        known: dict[str, Any] = {}
+
+        def distances(t: float, x: np.ndarray) -> np.ndarray:
+            key = (t, x.tobytes())
+            if known.get("key") != key:
+                known["key"], known["z"] = key, self._indicators(t, x)
+            return np.asarray(self.sides * known["z"])
+
+        found: list[Any] = [partial(lambda k, t, x: float(distances(t, x)[k]), k) for k in range(len(self.sides))]
+        for one in found:
+            one.terminal, one.direction = True, -1.0
+        return found
+
+    def carry_out_due(self, t: float, x: np.ndarray, h: float) -> np.ndarray:
+        """Carry out what is due at t with states x, if anything is; return the states then. h: step of the diagram."""
+        self.inner.x[:] = x
+        crossed = self._crossed(self._present(t))
+        wants = self._completed(t)
+        if crossed.any() or wants or self.next_time <= t + rounding(t, h):
+            self._note(crossed, t, h)
+            self._events(t, rounding(t, h))
+        return np.array(self.inner.x)
+
+    # -- one step ------------------------------------------------------------------------------------------------------
+
+    def _careful(self, n: int, t0: float, h: float, every: int, rows: np.ndarray, first: int) -> None:
+        """Take one step that may have events in it."""
+        if n % every == 0:
+            rows[n // every - first] = self.inner.record(t0 + n * h, self.inner.x)
+        self._held = self.inner.save()
+        self._step(t0 + n * h, h)
+
+    def _guard(self, on: bool) -> None:
+        for mode, _ in self.modes:
+            mode.guard(on)
+
+    def _after(self, t: float, h: float) -> np.ndarray:
+        self.inner.restore(self._held)
+        if h > 0:
+            self.inner.run(0, 1, t, h, 1, self._row)
+            raise_failure()
+        return np.array(self.inner.x)
+
+    def _accept(self, t: float, h: float, x: np.ndarray) -> None:
+        self._held = self.inner.save()
+
+    def _indicators(self, t: float, x: np.ndarray) -> np.ndarray:
+        self.inner.derivative(t, x)
+        raise_failure()
+        return np.concatenate([np.zeros(0), *(mode.indicators() for mode, _ in self.modes)])
+
+    def _present(self, t: float) -> np.ndarray:
+        return self._indicators(t, self.inner.x)
+
+    def _completed(self, t: float) -> bool:
+        if not self.stepwise:
+            return False
+        self._present(t)
+        wants = [mode.completed(t, self.inner.x[part]) for mode, part in self.modes if mode.reports]
+        return any(wants)  # all are told
+
+    def _carry_out(self, t: float) -> None:
+        """Carry out an event of all parts, and more of those whose inputs it has changed."""
+        self._present(t)
+        fed: dict[int, np.ndarray] = {}
+        for _ in range(MOST_ITERATIONS):
+            now = [mode.inputs() for mode, _ in self.modes]
+            changed = [k for k, u in enumerate(now) if k not in fed or not np.array_equal(u, fed[k])]
+            if not changed:
+                break
+            for k in changed:
+                mode, part = self.modes[k]
+                self.inner.x[part], fed[k] = mode.event(t, np.array(self.inner.x[part])), now[k]
+            self._present(t)
+        else:
+            raise self._endless(t, f"its parts change one another {MOST_ITERATIONS} times at one event")
+        self.events += 1
+        self.next_time = min(mode.due for mode, _ in self.modes)
+        self._held = self.inner.save()
+
+    def _take_sides(self, t: float) -> None:
+        super()._take_sides(t)
+        for mode, _ in self.modes:
+            mode.settle()
+
+    def _endless(self, t: float, what: str) -> RotorsimError:
+        hint = "events accumulate: a contact that comes to rest, or a relay without hysteresis, inside an FMU"
+        error = RotorsimError(Problem(f"{what} (t = {t:.9g} s)", self._name, hint=hint), exit_code=1)
+        error.time = t  # type: ignore[attr-defined]
+        return error
