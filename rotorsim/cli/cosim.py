@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -30,14 +30,13 @@ from rotorsim.cli.shared import (
     show_problems,
     solver_option,
 )
-from rotorsim.errors import Problem, RotorsimError, visible
-from rotorsim.report.text.table import counted
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.report.text.coupling import fmu_lines, said_by_fmus, stability_lines
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.simulation.result import Result
 
-TOLD = 100  # characters of a text variable
 Hear = Callable[[str, float, str, str, str], None]  # block, time, status, category, text
 
 
@@ -147,10 +146,10 @@ def command(
         save_figure(overview(_recorded(loaded, result)), plot)
         note(f"written: {plot}")
     made = dict(result.provenance)
-    show_problems(_warnings(made, log))
+    show_problems(said_by_fmus(made, "" if log else "--log FILE keeps all that it says"))
     head = f"{result.status}: {result.counters['steps']} communication steps to {result.time[-1]:g} s, {master}"
-    stability = ["stability of the coupling: not analysed (--no-check)"] if no_check else _stability(made)
-    lines = [head, *stability, *_participants(made)]
+    stability = ["stability of the coupling: not analysed (--no-check)"] if no_check else stability_lines(made)
+    lines = [head, *stability, *fmu_lines(made)]
     show(as_json, lambda: _data(result), lambda: "\n".join([*lines, *_peaks(loaded, result)]))
     if result.status != "finished":
         what, _, hint = result.message.partition("\n\nhint: ")
@@ -174,20 +173,6 @@ def _data(result: Result) -> dict[str, Any]:
     }
 
 
-def _participants(made: Mapping[str, Any]) -> list[str]:
-    """Return what is said of the FMUs: parts of steps, texts at the end."""
-    lines = []
-    for name, about in made.get("fmus", {}).items():
-        if about["most_parts"] > 1:
-            parts = f"taken in up to {about['most_parts']} parts, {about['do_steps']} calls of doStep"
-            lines.append(f"{name}: its inputs move within a step: {parts}")
-        lines += [
-            f"{name}: {text} is '{visible(' '.join(said.split())[:TOLD])}' at the end"
-            for text, said in about["texts"].items()
-        ]
-    return lines
-
-
 @contextmanager
 def _logging(file: str | None) -> Iterator[Hear | None]:
     """Give a function that writes messages of FMUs to a file, or None."""
@@ -209,21 +194,6 @@ def _logging(file: str | None) -> Iterator[Hear | None]:
     finally:
         if file != "-":
             stream.close()
-
-
-def _warnings(made: Mapping[str, Any], log: str | None) -> list[Problem]:
-    """Return what FMUs have warned of."""
-    hint = "" if log else "--log FILE keeps all that it says"
-    problems = []
-    for name, about in made.get("fmus", {}).items():
-        odd = sum(count for status, count in about["messages"].items() if status != "OK")
-        calls = f"{counted(about['warnings'], 'call')} returned a warning" if about["warnings"] else ""
-        messages = f"{counted(odd, 'message')} of warnings or errors" if odd else ""
-        if calls or messages:
-            what = "; ".join(filter(None, (calls, messages)))
-            said = "".join(f"\n  it said: {line[:300]}" for line in about["said"])
-            problems.append(Problem(what + said, name, hint=hint, severity="warning"))
-    return problems
 
 
 def _peaks(diagram: Diagram, result: Result) -> list[str]:
@@ -254,17 +224,3 @@ def _rates(texts: Sequence[str]) -> dict[str, int]:
         hint = "such as --rate controller=5"
         refuse_if(not number.isdecimal(), f"--rate {name}={number}: not PARTICIPANT=N", hint=hint)
     return {name: int(number) for name, number in numbers.items()}
-
-
-def _stability(made: Mapping[str, Any]) -> list[str]:
-    """Return what is said of the stability of the coupling."""
-    if "stability_not_analysed" in made:
-        return [f"stability of the coupling: not analysed ({made['stability_not_analysed']})"]
-    if "largest_stable_step" not in made:
-        return []
-    limit, kept = made["largest_stable_step"], made["damping_kept"]
-    if limit == 0:
-        return ["the linearised loop is unstable as a whole, with any step"]
-    said = f"largest stable step: {limit:.3g} s" if limit < float("inf") else "stable with all steps tried"
-    shown = "not told (no mode oscillates)" if kept is None else f"{kept:.1%}"
-    return [f"damping kept by the coupling: {shown}; {said}"]

@@ -138,11 +138,11 @@ def command(
     diagrams = _diagrams(chosen, known)
     measured = list(signals) or _two_axis(diagrams[0])
     from rotorsim.measure.record import Noise
-    from rotorsim.model.compiled import compile_diagram
+    from rotorsim.model.compiled import model_for_runs
     from rotorsim.recordings.writing import NewRun, save_recording
 
     plan = Plan(span, settle, hertz, Noise(level, noise_kind, seed) if level else None)
-    cases = list(itertools.product(zip(map(compile_diagram, diagrams), known, strict=True), at))
+    cases = list(itertools.product(zip(map(model_for_runs, diagrams), known, strict=True), at))
     width = max(len(str(len(cases))), 2)
     runs: list[NewRun] = []
     with progress_bar(diagrams[0].name, progress) as bar:
@@ -273,9 +273,9 @@ def _speeds(speeds: str | None, hold_out: str | None) -> tuple[list[float | None
 
 def _two_axis(diagram: Diagram) -> list[str]:
     """Return the two-axis signals that a diagram records; of those with nodes, the nodes that can move."""
-    from rotorsim.model.compiled import compile_diagram
+    from rotorsim.model.compiled import model_for_runs
 
-    model = compile_diagram(diagram)
+    model = model_for_runs(diagram)
     shapes = {str(name): model.shape_of(str(name)) for name in diagram.record}
     nodes = {name: [f"{name}[{k + 1}]" for k in range(shape[0])] for name, shape in shapes.items() if len(shape) == 2}
     signals = [
@@ -291,6 +291,8 @@ def _two_axis(diagram: Diagram) -> list[str]:
 
 def _moves(model: Model, name: str) -> bool:
     """Return whether a signal is anything but zero at all times."""
+    if name.partition(".")[0] in model.hidden:
+        return True
     expression = model.expression(name)
     return not (expression.is_constant() and expression.is_zero())
 

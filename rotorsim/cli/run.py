@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,7 @@ from rotorsim.errors import Problem
 from rotorsim.report.text.table import percent, table
 
 if TYPE_CHECKING:
+    from rotorsim.diagram.diagram import Diagram
     from rotorsim.model.compiled import Model
     from rotorsim.signals.spectrum import Harmonics
     from rotorsim.simulation.result import Result
@@ -112,13 +114,13 @@ def command(
     rising = clock is not None and loaded.nodes[clock].block.option.profile != "constant"
     hidden = [f"{clock}.theta", *([f"{clock}.speed"] if rising else [])] if clock else []
 
-    from rotorsim.model.compiled import compile_diagram
+    from rotorsim.model.compiled import model_for_runs
     from rotorsim.simulation.run import simulate
     from rotorsim.simulation.sinks import check_sinks
 
     check_sinks(loaded)
-    model = compile_diagram(loaded)
-    with progress_bar(loaded.name, progress) as bar:
+    model = model_for_runs(loaded)
+    with progress_bar(loaded.name, progress) as bar, _printing_elsewhere(loaded):
         # With a function to call, the run is cut into pieces, so that Ctrl-C is heard between them.
         result = simulate(
             model,
@@ -224,6 +226,15 @@ def in_unit(value: float, unit: str) -> tuple[float, str]:
     return value / conversion(unit, None), "" if unit == "1" else unit
 
 
+def _printing_elsewhere(diagram: Diagram) -> AbstractContextManager[None]:
+    """Keep what FMUs in this process print out of the results."""
+    if not any(node.block.opaque for node in diagram.nodes.values()):
+        return nullcontext()
+    from rotorsim.fmi.runtime.printing import printing_elsewhere
+
+    return printing_elsewhere()
+
+
 def _silent(fraction: float) -> None:
     """Take the place of a progress bar."""
 
@@ -234,6 +245,14 @@ def _report(model: Model, result: Result, wanted: Output) -> int:
     from rotorsim.simulation.sinks import write_sinks
 
     note(text.run_line(result))
+    if coupling := result.provenance.get("coupling"):
+        from rotorsim.report.text.coupling import fmu_lines, said_by_fmus, stability_lines
+
+        show_problems(said_by_fmus(coupling, "'rotorsim cosim --log FILE' keeps all that it says"))
+        error = result.counters.get("step_error")
+        told = [] if error is None else [f"error of the coupling: {percent(error)} of the rms of a signal at most"]
+        for line in (*stability_lines(coupling), *told, *fmu_lines(coupling)):
+            note(line)
     asked = replace(result, signals={name: result.signals[name] for name in wanted.shown})
     files = [str(path) for path in write_sinks(model.diagram, result)]
     if wanted.out:
@@ -275,6 +294,8 @@ def _hint(result: Result, out: str | None) -> str:
     smaller = ""
     if result.cause == "step":
         smaller = "a smaller --step, or --solver dop853 or radau, which choose their own"
+    if result.cause == "coupling":
+        smaller = "a smaller --step, or 'rotorsim cosim' with another --master or --order"
     if result.status == "finished":
         return smaller
     computed = "what was computed" + ("" if result.status == "unstable" else " until then")

@@ -33,13 +33,15 @@ def cosimulate_diagram(
     stop: float | None = None,
     parameters: Mapping[str, Any] | None = None,
     log: Callable[[str, float, str, str, str], None] | None = None,
+    use_compiler: bool = True,
     **settings: Any,
 ) -> Result:
     """Open the FMUs of a diagram, co-simulate it, and close them; settings as for `cosimulate`.
 
     log: gets block, time [s], status, category and text of every message of an FMU.
     """
-    coupling = open_coupling(diagram, groups, stop=stop, parameters=parameters, log=log)
+    given = {"stop": stop, "parameters": parameters, "log": log, "use_compiler": use_compiler}
+    coupling = open_coupling(diagram, groups, **given)  # type: ignore[arg-type]
     try:
         return cosimulate(coupling, diagram, step=step, stop=stop, **settings)
     finally:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from rotorsim.cosim.participant import Participant
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.linear.linearisation import entry_names
+from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.model.part import open_part
 from rotorsim.model.trace.diagram import FOREIGN_CODE
 
@@ -40,12 +42,11 @@ def couple(
     _refuse_doubles(diagram, [*taken, *given])
     crossing = _crossing(diagram, [*parts, *((block,) for block in given)])
     made: list[Participant] = []
-    watched = [str(name) for name in diagram.record]
+    watched = [f"{end.block}.{end.port}" for end in diagram.record]
     for blocks in parts:
         part = open_part(diagram, blocks, by_source=True)
         record = [port for port in crossing if port.rpartition(".")[0] in blocks]
-        own = [name for name in watched if name.partition(".")[0] in blocks]
-        record += [name for name in own if name.partition("[")[0] not in record]
+        record += [name for name in dict.fromkeys(watched) if name.rpartition(".")[0] in blocks and name not in record]
         name = "+".join(blocks) if len(blocks) < 4 else f"{blocks[0]}+{len(blocks) - 1} more"
         p = part.parameter_vector(parameters)
         made.append(CompiledParticipant(name, part, record, p, diagram.solver.step, use_compiler=use_compiler))
@@ -123,6 +124,21 @@ def _refuse_foreign_code(diagram: Diagram) -> None:
         raise RotorsimError(*[Problem(what, name, place, hint) for name, place in foreign])
 
 
+def with_values(model: Model, p: np.ndarray) -> Diagram:
+    """Return the diagram of a model with parameters p (n_p,) as the values of its blocks."""
+    nodes = {
+        name: replace(
+            node,
+            values={
+                key: np.reshape(p[model.parameters[f"{name}.{key}"]], np.shape(value))
+                for key, value in node.values.items()
+            },
+        )
+        for name, node in model.diagram.nodes.items()
+    }
+    return replace(model.diagram, nodes=nodes)
+
+
 def open_coupling(
     diagram: Diagram,
     groups: Sequence[Iterable[str]] = (),
@@ -141,6 +157,9 @@ def open_coupling(
     """
     end = diagram.solver.stop if stop is None else stop
     _refuse_foreign_code(diagram)
+    if parameters:
+        model = model_for_runs(diagram)
+        diagram = with_values(model, model.parameter_vector(parameters))
     opened: dict[str, Participant] = {}
     with contextlib.ExitStack() as stack:
         for name, node in diagram.nodes.items():
@@ -152,6 +171,6 @@ def open_coupling(
         if not opened and not groups:
             hint = "cut it with --part BLOCK,BLOCK, or `rotorsim run` it"
             raise RotorsimError(Problem("has no FMU: there is nothing to be coupled", diagram.name, hint=hint))
-        made = couple(diagram, groups, parameters=parameters, participants=opened, use_compiler=use_compiler)
+        made = couple(diagram, groups, participants=opened, use_compiler=use_compiler)
         stack.pop_all()
     return made

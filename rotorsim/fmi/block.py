@@ -287,7 +287,7 @@ def _made(
 def _not_traced(block: Any) -> tuple[str, str]:
     """Return why an FMU has no equations that a trace can call, with a hint; nothing where it has."""
     description, interface = block.fmu_description, block.option.interface
-    cosim = "`rotorsim cosim` runs it"
+    cosim = "`rotorsim run` co-simulates it"
     if interface == "cs" or "me" not in description.kinds:
         hidden = "for Co-Simulation, which hides its states and equations"
         if interface == "cs" and "me" in description.kinds:

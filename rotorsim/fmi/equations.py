@@ -38,6 +38,7 @@ class FmuEquations:
 
     def __init__(
         self,
+        name: str,
         path: Any,
         description: ModelDescription,
         in_process: bool,
@@ -46,7 +47,11 @@ class FmuEquations:
         outputs: Sequence[Any],
         parameters: Sequence[Any],
     ) -> None:
-        """Take the ports of inputs, outputs and parameters (`rotorsim.fmi.block.FmuPort`); texts: other values."""
+        """Take the ports of inputs, outputs and parameters (`rotorsim.fmi.block.FmuPort`); texts: other values.
+
+        name: of the block, by which failures are told.
+        """
+        self.name = name
         self.path, self.description, self.in_process, self.texts = path, description, in_process, dict(texts)
         self.outputs, self.inputs, self.parameters = tuple(outputs), tuple(inputs), tuple(parameters)
         self.n_x = len(description.states)
@@ -166,7 +171,7 @@ class FmuEquations:
         self._exact = bool((off <= CHECKED * np.abs(found).max(axis=0, initial=0.0)).all())
         if not self._exact:
             what = "its directional derivatives are not those of its equations: central differences are taken"
-            warnings.warn(f"{self.description.name}: {what}", RuntimeWarning, stacklevel=2)
+            warnings.warn(f"{self.name}: {what}", RuntimeWarning, stacklevel=2)
 
     def _difference(self, point: Sequence[np.ndarray], group: int, k: int, scale: float) -> np.ndarray:
         """Return the central difference of x' and y over an entry of t, x, u or p."""
@@ -292,7 +297,7 @@ class FmuEquations:
         if self._fmu is None:
             self._fmu = open_fmu(self.path, in_process=self.in_process, sizes=self.description.sizes)
             weakref.finalize(self, self._fmu.close).atexit = False  # its processes see to that themselves
-        slave = self._fmu.instantiate("me", self.description.name)
+        slave = self._fmu.instantiate("me", self.name)
         given = _changed(self.p_names, p, self._p_starts, self.p_scales)
         given |= _changed(self.u_names, u, self._u_starts, self.u_scales)
         try:

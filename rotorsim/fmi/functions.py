@@ -303,6 +303,7 @@ def functions_of(block: Any) -> FmuFunctions:
     identity = repr((block.fmu_block, digest, bool(option.in_process), sorted(texts.items(), key=str), sizes, ports))
     if identity not in _known:
         equations = FmuEquations(
+            block.fmu_block or block.fmu_description.name,
             block.fmu_path,
             block.fmu_description,
             bool(option.in_process),

@@ -47,7 +47,7 @@ def as_model(diagram: Diagram | Model, inject: Sequence[str] = (), replace: Sequ
     """
     if not isinstance(diagram, Model):
         return compile_diagram(diagram, inject=inject, replace=replace)
-    if set(diagram.trace.external) >= {*inject, *replace}:
+    if not diagram.hidden and set(diagram.trace.external) >= {*inject, *replace}:
         return diagram
     return compile_diagram(diagram.diagram, inject=inject, replace=replace)
 

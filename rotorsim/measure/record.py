@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.eigenmodes import require_speed
-from rotorsim.linear.linearisation import refuse_sampled
+from rotorsim.linear.linearisation import as_model, refuse_sampled
 from rotorsim.model.compiled import Model
 from rotorsim.recordings.recording import ANGLE
 from rotorsim.settled.continuation import Settings, Setup, orbits
@@ -98,6 +98,7 @@ def settled_state(model: Model, parameters: Mapping[str, float] | None = None) -
     States without a mean begin at zero mean. Raises RotorsimError, with exit code 1 where there is no stable
     settled motion.
     """
+    model = as_model(model)
     refuse_sampled(model, "a settled start")
     require_speed(model, "a settled start")
     p = model.parameter_vector(parameters or {})[None]

@@ -69,6 +69,7 @@ class Model:
         self._outputs: dict[tuple[str, ...], ca.Function] = {}
         self._selected: dict[str, tuple[Signal, np.ndarray]] = {}
         self._libraries: dict[tuple[str, ...], Library | None] = {}
+        self.hidden: tuple[str, ...] = ()  # blocks that are run elsewhere: this model has names and values alone
         self.without = "no C compiler"  # why a run is without one, if it is
         values = (value for node in diagram.nodes.values() for value in node.values.values())
         self.p0 = np.concatenate([np.zeros(0), *map(np.ravel, values)])
@@ -284,3 +285,20 @@ def compile_diagram(diagram: Diagram, *, inject: Iterable[str] = (), replace: It
     inject, replace: see `trace_diagram`. Raises RotorsimError.
     """
     return Model(diagram, trace_diagram(diagram, inject, replace))
+
+
+def model_for_runs(diagram: Diagram | Model) -> Model:
+    """Return the model of a diagram, or one of names and values alone where a part hides its equations.
+
+    Raises RotorsimError.
+    """
+    if isinstance(diagram, Model):
+        return diagram
+    opaque = {name: node for name, node in diagram.nodes.items() if node.block.opaque}
+    hidden = tuple(name for name, node in opaque.items() if node.block.untraced()[0])
+    if not hidden:
+        return compile_diagram(diagram)
+    theirs = [str(port) for node in opaque.values() for port in node.outputs.values()]
+    model = Model(diagram, trace_diagram(diagram, replace=theirs, foreign=opaque))
+    model.hidden = hidden
+    return model

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, Protocol
 
@@ -62,8 +63,17 @@ class Mode(Protocol):
         """Go back to a saved mode. Raises RotorsimError where events came between and the part cannot be set back."""
 
 
-def modes_of(model: Model, p: np.ndarray) -> list[tuple[Mode, slice]]:
-    """Return the modes of the parts of a diagram with parameters p (n_p,), and where their states lie in x."""
+@dataclass(frozen=True)
+class ModeOf:
+    """The mode of a block; part: where its states lie in x."""
+
+    block: str
+    mode: Mode
+    part: slice
+
+
+def modes_of(model: Model, p: np.ndarray) -> list[ModeOf]:
+    """Return the modes of the blocks of a diagram with parameters p (n_p,) that have any."""
     found = []
     for name, node in model.diagram.nodes.items():
         if not node.block.opaque:
@@ -75,5 +85,5 @@ def modes_of(model: Model, p: np.ndarray) -> list[tuple[Mode, slice]]:
         mode = node.block.mode(SimpleNamespace(**values))
         if mode is not None:
             parts = [model.states[f"{name}.{key}"].part for key in node.state_shapes]
-            found.append((mode, slice(parts[0].start, parts[-1].stop)))
+            found.append(ModeOf(name, mode, slice(parts[0].start, parts[-1].stop)))
     return found

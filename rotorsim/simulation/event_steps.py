@@ -10,7 +10,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from scipy.optimize import brentq
 
 from rotorsim.errors import RotorsimError
 
@@ -18,6 +17,7 @@ LOCATED = 1e-12  # of a step: how well state events are located
 TOUCH = 1e-10  # of a step: how far an indicator that is exactly zero is followed first
 CHATTER = 1e-8  # of a step: the same crossing again so soon means that events accumulate
 MOST_EVENTS_PER_STEP = 1000  # in one step
+ACCUMULATE = "events accumulate: a contact that comes to rest, or a relay without hysteresis, inside the FMU"
 EPS = float(np.finfo(float).eps)
 _NONE = np.zeros(0, bool)
 
@@ -63,8 +63,8 @@ class EventSteps(ABC):
         """Return the event indicators (n_z,) of the present states."""
 
     @abstractmethod
-    def _endless(self, t: float, what: str) -> RotorsimError:
-        """Return the error that events accumulate."""
+    def _endless(self, t: float, what: str, indicator: int | None = None) -> RotorsimError:
+        """Return the error that events accumulate; indicator: the place in `sides` of the one that it is about."""
 
     # -- from event to event -------------------------------------------------------------------------------------------
 
@@ -76,7 +76,7 @@ class EventSteps(ABC):
             goal = self.next_time if self.next_time < end - tiny else end
             if self.touching:  # which side it takes is seen before it may come back
                 goal, self.touching = min(goal, t + max(TOUCH * h, 1e3 * EPS * abs(t))), False
-            width = goal - t
+            width = h if t == start and goal == end else goal - t
             x, crossed = self._after(t, width), _NONE
             if self.sides.size:
                 crossed = self._crossed(self._indicators(goal, x))
@@ -126,6 +126,8 @@ class EventSteps(ABC):
 
     def _locate(self, t: float, width: float, h: float) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the width of the step that ends right behind the first crossing, the states there, what crossed."""
+        from scipy.optimize import brentq  # as long to load as many a run takes
+
         tolerance = max(LOCATED * h, 2 * EPS * abs(t))
 
         def at(step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -151,7 +153,7 @@ class EventSteps(ABC):
         for k in np.flatnonzero(crossed).tolist():
             key = (k, bool(self.sides[k] > 0))
             if t - self._last.get(key, -np.inf) < max(CHATTER * h, 100 * EPS * abs(t)):
-                raise self._endless(t, f"event indicator {k + 1} crosses zero again and again")
+                raise self._endless(t, "crosses zero again and again", k)
             self._last[key] = t
 
     def _forget_after(self, t: float) -> None:

@@ -34,7 +34,8 @@ class Result(Shown):
     time: (n,) [s]. signals: name -> (n, *shape), SI. units: name -> unit. status: "finished",
     "unstable" (the machine is, by its poles), "diverged" (a state stopped being finite, or the step is beyond the
     stability limit) or "stopped" (interrupted); message: the reason, or advice; cause: what it is about, where that
-    decides the cure: "step" (too large), "sampled" (unstable, with sampled blocks), "loop". counters: steps,
+    decides the cure: "step" (too large), "coupling" (its step is), "sampled" (unstable, with sampled blocks), "loop",
+    "part" (one has failed). counters: steps,
     evaluations, CPU seconds, step_error (of a fixed step, relative). provenance: what was run, with what.
 
     ``result["rotor.displacement"]`` is the whole signal, ``result["rotor.displacement[3,1]"]`` one entry of it.

@@ -17,10 +17,10 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.called import event_that_waits, forget_failures, has_failed, raise_failure
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
-from rotorsim.model.mode import Mode, modes_of
-from rotorsim.simulation.event_steps import EventSteps, rounding
+from rotorsim.model.mode import ModeOf, modes_of
+from rotorsim.simulation.event_steps import ACCUMULATE, EventSteps, rounding
 
-AHEAD = 64, 65536  # steps at once: first, and at most; what an event is in is computed again from the last start
+AT_ONCE = 64, 65536  # steps at once: first, and at most; what an event is in is computed again from the last start
 MOST_ITERATIONS = 100  # of one event, until no part changes the inputs of another
 
 
@@ -47,8 +47,8 @@ def carrying_out_events(model: Model, instance: Instance, p: np.ndarray) -> Iter
     try:
         yield SwitchingInstance(model, instance, modes)
     finally:
-        for mode, _ in modes:
-            mode.end()
+        for one in modes:
+            one.mode.end()
 
 
 class SwitchingInstance(EventSteps):
@@ -57,14 +57,15 @@ class SwitchingInstance(EventSteps):
     events: how many were carried out. stepwise: a part wants to be told of every completed step.
     """
 
-    def __init__(self, model: Model, inner: Instance, modes: Sequence[tuple[Mode, slice]]) -> None:
-        super().__init__(sum(mode.n_indicators for mode, _ in modes))
-        self.inner, self.modes, self._name = inner, tuple(modes), model.diagram.name
+    def __init__(self, model: Model, inner: Instance, modes: Sequence[ModeOf]) -> None:
+        super().__init__(sum(one.mode.n_indicators for one in modes))
+        self.inner, self.parts, self._name = inner, tuple(modes), model.diagram.name
+        self.modes = tuple(one.mode for one in modes)
         self.path, self.n_y = inner.path, inner.n_y
         self.events = 0
-        self.stepwise = any(mode.reports for mode, _ in modes)
+        self.stepwise = any(mode.reports for mode in self.modes)
         self._guard(False)
-        self._ahead = AHEAD[0]
+        self._ahead = AT_ONCE[0]
         self._held: Any = None  # the instance before the step that is taken
         self._row = np.empty((1, inner.n_y))
 
@@ -89,7 +90,7 @@ class SwitchingInstance(EventSteps):
     @property
     def can_go_back(self) -> bool:
         """Whether all that was saved can be restored."""
-        return all(mode.can_go_back for mode, _ in self.modes)
+        return all(mode.can_go_back for mode in self.modes)
 
     @property
     def p(self) -> np.ndarray:
@@ -98,11 +99,11 @@ class SwitchingInstance(EventSteps):
 
     def start(self, t: float) -> None:
         """Begin at t; inputs other than those with which a part was initialised can make an event there."""
-        for mode, _ in self.modes:
+        for mode in self.modes:
             mode.begin()
         self.inner.start(t)
-        self.next_time = min(mode.due for mode, _ in self.modes)
-        self.sides = np.concatenate([np.where(mode.sides(), 1.0, -1.0) for mode, _ in self.modes])
+        self.next_time = min(mode.due for mode in self.modes)
+        self.sides = np.concatenate([np.where(mode.sides(), 1.0, -1.0) for mode in self.modes])
         if self.next_time <= t or self._crossed(self._present(t)).any():
             self._events(t, 0.0)
         else:
@@ -124,7 +125,7 @@ class SwitchingInstance(EventSteps):
             if due is None:
                 if has_failed() or n < until:
                     return n
-                self._ahead = min(2 * self._ahead, AHEAD[1])
+                self._ahead = min(2 * self._ahead, AT_ONCE[1])
                 continue
             forget_failures()
             self.inner.restore(saved)
@@ -136,7 +137,7 @@ class SwitchingInstance(EventSteps):
             while n <= min(step, n1 - 1):
                 self._careful(n, t0, h, every, rows, first)
                 n += 1
-            self._ahead = AHEAD[0]
+            self._ahead = AT_ONCE[0]
         return n
 
     def derivative(self, t: float, x: np.ndarray) -> np.ndarray:
@@ -157,13 +158,13 @@ class SwitchingInstance(EventSteps):
 
     def save(self) -> Any:
         """Return what `restore` needs."""
-        modes = tuple(mode.save() for mode, _ in self.modes)
+        modes = tuple(mode.save() for mode in self.modes)
         return _Saved(self.inner.save(), modes, self.sides.copy(), self.next_time, self.touching, self.clock)
 
     def restore(self, saved: Any) -> None:
         """Go back. Raises RotorsimError where events came between and a part cannot be set back."""
         self.inner.restore(saved.inner)
-        for (mode, _), own in zip(self.modes, saved.modes, strict=True):
+        for mode, own in zip(self.modes, saved.modes, strict=True):
             mode.restore(own)
         self.sides, self.next_time = saved.sides.copy(), saved.next_time
         self.touching, self.clock = saved.touching, saved.clock
@@ -206,7 +207,7 @@ class SwitchingInstance(EventSteps):
         self._step(t0 + n * h, h)
 
     def _guard(self, on: bool) -> None:
-        for mode, _ in self.modes:
+        for mode in self.modes:
             mode.guard(on)
 
     def _after(self, t: float, h: float) -> np.ndarray:
@@ -222,7 +223,7 @@ class SwitchingInstance(EventSteps):
     def _indicators(self, t: float, x: np.ndarray) -> np.ndarray:
         self.inner.derivative(t, x)
         raise_failure()
-        return np.concatenate([np.zeros(0), *(mode.indicators() for mode, _ in self.modes)])
+        return np.concatenate([np.zeros(0), *(mode.indicators() for mode in self.modes)])
 
     def _present(self, t: float) -> np.ndarray:
         return self._indicators(t, self.inner.x)
@@ -231,7 +232,7 @@ class SwitchingInstance(EventSteps):
         if not self.stepwise:
             return False
         self._present(t)
-        wants = [mode.completed(t, self.inner.x[part]) for mode, part in self.modes if mode.reports]
+        wants = [one.mode.completed(t, self.inner.x[one.part]) for one in self.parts if one.mode.reports]
         return any(wants)  # all are told
 
     def _carry_out(self, t: float) -> None:
@@ -239,27 +240,31 @@ class SwitchingInstance(EventSteps):
         self._present(t)
         fed: dict[int, np.ndarray] = {}
         for _ in range(MOST_ITERATIONS):
-            now = [mode.inputs() for mode, _ in self.modes]
+            now = [mode.inputs() for mode in self.modes]
             changed = [k for k, u in enumerate(now) if k not in fed or not np.array_equal(u, fed[k])]
             if not changed:
                 break
             for k in changed:
-                mode, part = self.modes[k]
+                mode, part = self.modes[k], self.parts[k].part
                 self.inner.x[part], fed[k] = mode.event(t, np.array(self.inner.x[part])), now[k]
             self._present(t)
         else:
             raise self._endless(t, f"its parts change one another {MOST_ITERATIONS} times at one event")
         self.events += 1
-        self.next_time = min(mode.due for mode, _ in self.modes)
+        self.next_time = min(mode.due for mode in self.modes)
         self._held = self.inner.save()
 
     def _take_sides(self, t: float) -> None:
         super()._take_sides(t)
-        for mode, _ in self.modes:
+        for mode in self.modes:
             mode.settle()
 
-    def _endless(self, t: float, what: str) -> RotorsimError:
-        hint = "events accumulate: a contact that comes to rest, or a relay without hysteresis, inside an FMU"
-        error = RotorsimError(Problem(f"{what} (t = {t:.9g} s)", self._name, hint=hint), exit_code=1)
+    def _endless(self, t: float, what: str, indicator: int | None = None) -> RotorsimError:
+        subject = self._name
+        if indicator is not None:
+            first = np.cumsum([0, *(mode.n_indicators for mode in self.modes)])
+            k = int(np.searchsorted(first, indicator, side="right")) - 1
+            subject, what = self.parts[k].block, f"event indicator {indicator - first[k] + 1} {what}"
+        error = RotorsimError(Problem(f"{what} (t = {t:.9g} s)", subject, hint=ACCUMULATE), exit_code=1)
         error.time = t  # type: ignore[attr-defined]
         return error

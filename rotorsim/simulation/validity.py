@@ -288,14 +288,27 @@ def _errors(run: Run, h: float, stretch: Stretch, parts: int) -> np.ndarray:
     few = run.rows[:: max(len(run.rows) // 10_000, 1)]
     with np.errstate(all="ignore"):
         change = stretch.repeated(run.instance, h, parts) - stretch.repeated(run.instance, h, 2 * parts)
-        wrong, rms = (
-            np.array([np.sqrt(np.mean(values**2, axis=0).sum()) for values in cut(rows, shapes)[0].values()])
-            for rows in (change * 16 / 15, few if len(few) else np.zeros((1, run.rows.shape[1])))
+    wrong = cut(change * 16 / 15, shapes)[0]
+    moved = cut(few if len(few) else np.zeros((1, run.rows.shape[1])), shapes)[0]
+    return relative_errors(run.model, run.names, [wrong[n] for n in run.names], [moved[n] for n in run.names])
+
+
+def relative_errors(
+    model: Model, names: Sequence[str], wrong: Sequence[np.ndarray], signals: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Return the rms of the errors of signals (n, *shape) over the rms of the signals, (signals,).
+
+    One that is rounding beside another of its unit is measured by that one.
+    """
+    with np.errstate(all="ignore"):
+        errors, rms = (
+            np.array([np.sqrt(np.mean(np.reshape(one, (len(one), -1)) ** 2, axis=0).sum()) for one in arrays])
+            for arrays in (wrong, signals)
         )
-    units = np.array([run.model.select(name)[0].unit or "" for name in run.names])
+    units = np.array([model.select(name)[0].unit or "" for name in names])
     size = np.maximum(rms, [WHOLE_NUMBER * np.max(rms[units == unit]) for unit in units])
-    usable = (size > 0) & np.isfinite(wrong) & np.isfinite(rms)
-    return np.asarray(np.divide(wrong, size, out=np.zeros(len(wrong)), where=usable))
+    usable = (size > 0) & np.isfinite(errors) & np.isfinite(rms)
+    return np.asarray(np.divide(errors, size, out=np.zeros(len(errors)), where=usable))
 
 
 def _step_that_would_do(run: Run, h: float) -> float | None:

@@ -111,12 +111,6 @@ def test_a_step_that_must_diverge_is_refused(folder: Path) -> None:
         cosimulate_diagram(diagram, step=1e-3, master="jacobi", order=0, check=True)
 
 
-def test_a_diagram_with_an_fmu_is_not_run_as_a_whole(folder: Path) -> None:
-    diagram = with_fmu(folder, "controller", "controller2.fmu", interface="cs")
-    with pytest.raises(RotorsimError, match="is an FMU for Co-Simulation, which hides its states and equations"):
-        simulate(diagram)
-
-
 def test_files_that_are_no_fmu(tmp_path: Path) -> None:
     (tmp_path / "no.fmu").write_text("no")
     document = json.loads(json.dumps(load("jeffcott").document))
@@ -173,3 +167,9 @@ def test_the_error_of_the_coupling_is_recorded(folder: Path, order: int, ratio: 
     assert coarse / fine == pytest.approx(ratio, rel=0.03)
     agreed = cosimulate_diagram(diagram, step=2e-4, master="iterative")["coupling.error"]
     assert agreed.max() < 1e-8
+
+
+def test_part_of_a_signal_is_recorded(folder: Path) -> None:
+    document = {**load("jeffcott").document, "record": ["rotor.displacement[2]"]}
+    whole, part = (cosimulate_diagram(load(d), [["controller"]], step=1e-4, stop=0.01) for d in ("jeffcott", document))
+    np.testing.assert_array_equal(part["rotor.displacement[2]"], whole["rotor.displacement"][:, 1])

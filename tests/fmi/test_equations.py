@@ -115,7 +115,7 @@ def test_an_fmu_that_hides_its_states_is_refused(fmu: Make) -> None:
         modes(with_fmu(fmu, "rotor", interface="cs"))
     assert str(caught.value) == (
         "error: rotor: is an FMU for Co-Simulation, which hides its states and equations\n\n"
-        'hint: it offers Model Exchange, too: "interface": "me"; `rotorsim cosim` runs it as it is'
+        'hint: it offers Model Exchange, too: "interface": "me"; `rotorsim run` co-simulates it as it is'
     )
 
 
@@ -174,11 +174,6 @@ def test_one_file_in_two_blocks_with_parameters_of_their_own(plants: Path, versi
         np.testing.assert_allclose(y, right, atol=1e-8)
 
 
-CARRIED_OUT = "\n\nhint: `rotorsim cosim` carries events out; here there are equations between events alone"
-EVENTS = [
-    ({"wall": 0.5}, "plant: has an event: indicator 1 changes its side (t = 0.106 s)", 0.106),
-    ({"tick": 0.1}, "plant: has a time event at t = 0.1 s (t = 0.1 s)", 0.1),
-]
 FAULTY = {
     "fail": "fmi2GetDerivatives returned fmi2Error (t = 0.1 s)",
     "nan": "gives der(v) = nan (t = 0.1 s)",
@@ -187,21 +182,11 @@ FAULTY = {
 }
 
 
-@pytest.mark.parametrize(("values", "said", "until"), EVENTS)
-def test_an_event_ends_a_run_by_equations(plants: Path, values: Any, said: str, until: float) -> None:
-    """x(t) = 0.5 at 0.1059 s; the ticks begin at 0.1 s."""
-    found = simulate(of_plant(plants, **values))
-    assert (found.status, found.message) == (
-        "stopped",
-        f"{said}; what was computed until t = {until} s is kept{CARRIED_OUT}",
-    )
-
-
 @pytest.mark.parametrize("fault", FAULTY)
 def test_a_failure_inside_ends_the_run_with_what_there_is(plants: Path, fault: str) -> None:
     diagram = of_plant(plants, in_process=fault in ("fail", "nan"), fault=FAULTS.index(fault), fault_time=0.1)
     found = simulate(diagram)
-    said = f"plant: {FAULTY[fault]}; what was computed until t = 0.1 s is kept"
+    said = f"it: {FAULTY[fault]}; what was computed until t = 0.1 s is kept"
     assert (found.status, found.message.partition("\n")[0]) == ("stopped", said)
     assert found.time[-1] == pytest.approx(0.099)
     again = simulate(of_plant(plants, in_process=False))  # nothing is left behind
@@ -259,7 +244,7 @@ def test_the_command_says_what_failed_and_where_the_rest_is(plants: Path, run: A
     done = run("run", "it.json", "--trust-blocks", "--out", "it.csv")
     assert done.exit_code == 1
     assert done.stderr.endswith(
-        "error: of_plant: plant: fmi2GetDerivatives returned fmi2Error (t = 0.1 s); what was computed until t = 0.1 s "
+        "error: of_plant: it: fmi2GetDerivatives returned fmi2Error (t = 0.1 s); what was computed until t = 0.1 s "
         "is kept\n\nhint: what was computed until then is in it.csv\n"
     )
     assert len(np.loadtxt("it.csv", delimiter=",", skiprows=1)) == 100

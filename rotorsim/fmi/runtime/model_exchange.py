@@ -13,7 +13,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.fmi.runtime.exchange import Slave
 from rotorsim.linear.stability import largest_stable_step, rounded_down, step_factor
 from rotorsim.model.runge_kutta import RK4
-from rotorsim.simulation.event_steps import EventSteps, rounding
+from rotorsim.simulation.event_steps import ACCUMULATE, EventSteps, rounding
 
 RTOL, ATOL = 1e-8, 1e-12  # of the methods that choose their own steps
 NUDGE = 6e-6  # cube root of eps: relative width of central differences
@@ -215,9 +215,9 @@ class ModelExchange(EventSteps):
 
     # -- failures ------------------------------------------------------------------------------------------------------
 
-    def _endless(self, t: float, what: str) -> RotorsimError:
-        hint = "events accumulate: a contact that comes to rest, or a relay without hysteresis, inside the FMU"
-        return self.slave.step_failed("-", what, "endless", t, hint)
+    def _endless(self, t: float, what: str, indicator: int | None = None) -> RotorsimError:
+        text = what if indicator is None else f"event indicator {indicator + 1} {what}"
+        return self.slave.step_failed("-", text, "endless", t, ACCUMULATE)
 
 
 def _combined(weights: Sequence[float], stages: Sequence[np.ndarray]) -> Any:

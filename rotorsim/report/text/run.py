@@ -73,7 +73,14 @@ def settled_motion(model: Model, result: Result, angle: str, harmonics: Sequence
     It is asked for where a mode has more than OVER left at the end of the run: what decays faster is seen to.
     """
     speed = steady_speed(result, angle)
-    if speed is None or not harmonics or not model.linear or model.n_z or "speed" not in model.diagram.parameters:
+    if (
+        speed is None
+        or not harmonics
+        or model.hidden
+        or not model.linear
+        or model.n_z
+        or "speed" not in model.diagram.parameters
+    ):
         return None
     p = model.p0
     A = np.array(model.jacobian(0.0, model.x0(p), model.z0(p), p))

@@ -1,0 +1,216 @@
+"""Runs of diagrams with FMUs: events that the run carries out, and parts that hide their equations."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from rotorsim.errors import RotorsimError
+from rotorsim.model.compiled import compile_diagram
+from rotorsim.model.load import load
+from rotorsim.simulation.result import Result
+from rotorsim.simulation.run import simulate
+from tests.fmi.conftest import Make
+from tests.fmi.events import alone, events_fmu
+from tests.fmi.test_equations import of_plant, with_fmu
+
+G, E, H = 9.81, 0.8, 1e-2
+METHODS = pytest.mark.parametrize("method", ["rk4", "dop853", "radau"])
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write the FMU with events, which needs no reports of completed steps."""
+    return events_fmu(tmp_path_factory.mktemp("events"), reports=False)
+
+
+def ball(t: np.ndarray, height: float = 1.0) -> np.ndarray:
+    """Return the height of a ball that falls, and loses 1 - E of its speed at each bounce."""
+    first = np.sqrt(2 * height / G)
+    times, speeds = [first], [E * G * first]
+    while times[-1] < t[-1]:
+        times.append(times[-1] + 2 * speeds[-1] / G)
+        speeds.append(E * speeds[-1])
+    k = np.searchsorted(times, t, side="right") - 1
+    since = t - np.array(times)[np.maximum(k, 0)]
+    return np.where(k < 0, height - G / 2 * t**2, np.array(speeds)[np.maximum(k, 0)] * since - G / 2 * since**2)
+
+
+@METHODS
+def test_a_ball_bounces_and_what_follows_it_too(file: Path, method: str) -> None:
+    """An integrator behind the ball is integrated with it: no coupling, and no error of one."""
+    blocks = {"sum": {"type": "integrator"}}
+    diagram = alone(file, "ball", step=H, stop=2.0, blocks=blocks, wires=[["it.x", "sum.input"]])
+    found = simulate(diagram, method=method, record=["it.x", "it.count", "sum.output"])
+    t = found.time
+    assert (found.status, found.message, found["it.count"][-1]) == ("finished", "", 3.0)
+    np.testing.assert_allclose(found["it.x"], ball(t), atol=1e-9)
+    fine = np.linspace(0.0, 2.0, 2_000_001)
+    area = np.concatenate([[0.0], np.cumsum((ball(fine)[1:] + ball(fine)[:-1]) / 2 * np.diff(fine))])
+    np.testing.assert_allclose(found["sum.output"], np.interp(t, fine, area), atol=1e-6)
+
+
+def test_two_balls_of_one_file_have_modes_of_their_own(file: Path) -> None:
+    """The same values but for one input: what one does is not seen in the other."""
+    values = {"interface": "me", "in_process": True, "model": 0}
+    blocks = {
+        name: {"type": "fmu", "file": file.name, "parameters": {**values, "x0": height}}
+        for name, height in (("other", 1.0), ("third", 0.5))
+    }
+    found = simulate(alone(file, "ball", step=H, stop=1.5, blocks=blocks), record=["it.x", "other.x", "third.x"])
+    for name, height in (("it.x", 1.0), ("other.x", 1.0), ("third.x", 0.5)):
+        np.testing.assert_allclose(found[name], ball(found.time, height), atol=1e-9)
+
+
+@METHODS
+def test_a_wall_in_a_loop(tmp_path: Path, method: str) -> None:
+    """A relay of the FMU in a loop with a lag of the diagram, against an integration of the equations in this test."""
+    file = events_fmu(tmp_path, reports=False)
+    blocks = {
+        "lag": {"type": "lag", "parameters": {"time_constant": 0.3}},
+        "none": {"type": "gain", "parameters": {"gain": 1.0}},
+    }
+    wires = [["it.x", "lag.input"], ["lag.output", "none.input"], ["none.output", "it.u"]]
+    diagram = alone(file, "relay", step=1e-3, stop=4.0, blocks=blocks, wires=wires)
+    found = simulate(diagram, method=method, record=["it.x", "lag.output"])
+    t, x, y, on = 0.0, 1.0, 0.0, 1.0
+    times, rows = [0.0], [(x, y)]
+    while t < 4.0:
+        limit = 1.5 if on else 0.5
+
+        def slope(_: float, s: np.ndarray, on: float = on) -> list[float]:
+            return [2 * on - s[0], (s[0] - s[1]) / 0.3]
+
+        def edge(_: float, s: np.ndarray, limit: float = limit) -> float:
+            return float(s[0] - limit)
+
+        edge.terminal = True  # type: ignore[attr-defined]
+        part = solve_ivp(slope, (t, 4.0), [x, y], events=edge, rtol=1e-11, atol=1e-12, dense_output=True)
+        grid = found.time[(found.time > t) & (found.time <= part.t[-1])]
+        times += grid.tolist()
+        rows += part.sol(grid).T.tolist()
+        t, (x, y), on = float(part.t[-1]), part.y[:, -1], 1.0 - on
+    n = min(len(times), len(found.time))
+    right = np.array(rows)[:n]
+    atol = {"rk4": 1e-9, "dop853": 1e-7, "radau": 1e-6}[method]
+    np.testing.assert_allclose(np.column_stack([found["it.x"], found["lag.output"]])[:n], right, atol=atol)
+
+
+def test_a_run_leaves_the_equations_as_they_begin(file: Path) -> None:
+    """The relay is off at the end of a run and on at its beginning: x' = 2 on - x is what it was."""
+    diagram = alone(file, "relay", step=1e-3, stop=0.8)
+    model = compile_diagram(diagram)
+    first, slope, again = simulate(model), np.array(model.rhs(0.0, model.x0(), model.z0(), model.p0)), simulate(model)
+    assert first["it.count"][-1] == 1.0
+    assert slope.ravel()[0] == 1.0
+    np.testing.assert_array_equal(first["it.x"], again["it.x"])
+
+
+def test_a_coarse_step_is_found_out_across_events(file: Path) -> None:
+    """The error of the step is that of the stretches repeated, with their events."""
+    coarse, fine = (simulate(alone(file, "relay", step=h, stop=3.0)) for h in (0.5, 1e-3))
+    assert fine.counters["step_error"] < 1e-9
+    assert coarse.counters["step_error"] > 1e-4
+
+
+def test_who_does_not_let_its_state_be_saved(tmp_path: Path) -> None:
+    found = simulate(alone(events_fmu(tmp_path, saves=False, reports=False), "ball", step=H, stop=1.0))
+    assert (found.status, found.message) == (
+        "finished",
+        "the error of the step was not estimated: a part had events, and does not let its state be saved",
+    )
+    assert "step_error" not in found.counters
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_a_wall_of_the_plant_in_a_process_of_its_own(tmp_path: Path, version: str) -> None:
+    """The same numbers as in this process."""
+    from tests.fmi.plant import make_fmu
+
+    make_fmu(tmp_path / f"plant{version[0]}.fmu", version)
+    near, apart = (simulate(of_plant(tmp_path, version, in_process=one, tick=0.1)) for one in (True, False))
+    assert near.counters["part_events"] == apart.counters["part_events"] > 0
+    np.testing.assert_array_equal(near["it.y"], apart["it.y"])
+
+
+# -- parts that hide their equations -----------------------------------------------------------------------------------
+
+
+def off(made: Result, plain: Result, name: str) -> float:
+    """Return the rms of the difference over the rms of the signal."""
+    return float(np.sqrt(((made[name] - plain[name]) ** 2).mean() / (plain[name] ** 2).mean()))
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("block", ["rotor", "controller"])
+def test_co_simulation_is_off_by_the_error_that_is_told(fmu: Make, block: str, version: str) -> None:
+    plain = simulate(load("jeffcott"), stop=0.3)
+    made = simulate(with_fmu(fmu, block, version, interface="cs"), stop=0.3)
+    worst = max(off(made, plain, name) for name in ("rotor.displacement", "controller.current"))
+    assert made.status == "finished"
+    assert worst == pytest.approx(made.counters["step_error"], rel=0.2)
+    assert 0.01 < worst < 0.05
+    assert made.provenance["path"] == f"co-simulated with {block}: gauss_seidel, inputs held"
+    assert 0.85 < made.provenance["coupling"]["damping_kept"] < 0.95
+
+
+def test_its_error_is_of_first_order(fmu: Make) -> None:
+    diagram = with_fmu(fmu, "controller", interface="cs")
+    coarse, fine = (simulate(diagram, stop=0.1, step=h).counters["step_error"] for h in (1e-4, 5e-5))
+    assert np.log2(coarse / fine) == pytest.approx(1.0, abs=0.1)
+
+
+def test_values_reach_the_fmu(fmu: Make) -> None:
+    """Those given to a run are not those of the diagram."""
+    diagram = with_fmu(fmu, "controller", interface="cs")
+    changed = simulate(diagram, stop=0.05, parameters={"controller.KP": 2e4, "speed": 100.0})
+    plain = simulate(load("jeffcott"), stop=0.05, parameters={"controller.KP": 2e4, "speed": 100.0})
+    told = changed.counters["step_error"]
+    assert off(changed, plain, "rotor.displacement") == pytest.approx(told, rel=0.2)
+    assert off(changed, simulate(diagram, stop=0.05), "rotor.displacement") > 2 * told
+    with pytest.raises(RotorsimError, match=r"error: controller\.XP: no such parameter"):
+        simulate(diagram, parameters={"controller.XP": 1.0})
+
+
+def test_parts_of_signals_and_every_nth_step(fmu: Make) -> None:
+    diagram = with_fmu(fmu, "controller", interface="cs")
+    whole = simulate(diagram, stop=0.02)
+    part = simulate(diagram, stop=0.02, record=["rotor.displacement[2]", "controller.current"], record_every=4)
+    assert list(part.signals) == ["rotor.displacement[2]", "controller.current"]
+    np.testing.assert_array_equal(part["rotor.displacement[2]"], whole["rotor.displacement"][::4, 1])
+    np.testing.assert_array_equal(part.time, whole.time[::4])
+
+
+def test_a_step_with_which_the_loop_diverges_is_refused(fmu: Make) -> None:
+    with pytest.raises(RotorsimError) as caught:
+        simulate(with_fmu(fmu, "controller", interface="cs"), step=1e-3, stop=0.1)
+    assert "with this step the coupled loop is unstable; the largest stable step is" in str(caught.value)
+
+
+def test_the_command_says_what_the_coupling_costs(fmu: Make, run: Any) -> None:
+    diagram = with_fmu(fmu, "controller", interface="cs")
+    Path("it.json").write_text(json.dumps(dict(diagram.document)))
+    done = run("run", "it.json", "--trust-blocks", "--stop", "0.1 s", "--json")
+    told = json.loads(done.stdout)
+    assert (done.exit_code, told["status"]) == (0, "finished")
+    lines = done.stderr.splitlines()
+    assert "co-simulated with controller: gauss_seidel, inputs held" in lines[0]
+    assert lines[1].startswith("damping kept by the coupling: 87.4%; largest stable step: ")
+    assert lines[2].startswith("error of the coupling: ")
+    assert done.stderr.endswith("\n\nhint: a smaller --step, or 'rotorsim cosim' with another --master or --order\n")
+
+
+def test_a_recording_of_it_can_be_made(fmu: Make, run: Any) -> None:
+    diagram = with_fmu(fmu, "rotor", interface="cs")
+    Path("it.json").write_text(json.dumps(dict(diagram.document)))
+    done = run("record", "it.json", "--trust-blocks", "--speeds", "1200 rpm, 1500 rpm", "--out", "made")
+    assert done.exit_code == 0, done.stderr
+    assert {"run01.npz", "run02.npz", "recording.json"} <= {path.name for path in Path("made").iterdir()}
+    refused = run("record", "it.json", "--trust-blocks", "--settle", "--out", "other")
+    assert refused.exit_code == 2
+    assert "rotor: is an FMU for Co-Simulation, which hides its states and equations" in refused.stderr
