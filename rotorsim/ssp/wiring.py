@@ -54,7 +54,9 @@ class Wiring:
             ends = [(f"{block}.{port}", f"{other}.{into}")] if whole else [(a.end(), b.end()) for a, b in pairs]
             plain = compatible(given.unit, wanted.unit) != "same"  # converted, or not to be: a gain has no units
             for start, end in ends:
-                start = self.transformed(start, f"{other}_{into}", (factor, offset), wanted.shape if whole else (), plain)
+                start = self.transformed(
+                    start, f"{other}_{into}", (factor, offset), wanted.shape if whole else (), plain
+                )
                 self.wires.append([start, end])
 
     def shown(self, feed: Feed, source: At, name: str) -> str:
