@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import ChainMap
+from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass, replace
 
 from rotorsim.errors import Problem, RotorsimError
@@ -14,7 +15,7 @@ from rotorsim.ssp.structure import NAMESPACES
 
 MAX_XML_BYTES = 16 << 20  # of one XML file
 _LIMITS = XmlLimits(bytes=MAX_XML_BYTES, elements=300_000)
-TYPES = {"Real": "Float64", "Integer": "Int32"} | {
+VALUE_TYPES = {"Real": "Float64", "Integer": "Int32"} | {
     name: name for name in (*FLOATS, *INTEGERS, "Boolean", "String", "Binary")
 }
 
@@ -24,14 +25,14 @@ class Document:
     """A file, or what stands in one as a file would: its root, its units; where mistakes and oddities are noted."""
 
     root: Element
-    units: Mapping[str, FmuUnit]
+    units: MutableMapping[str, FmuUnit]
     mistakes: Mistakes
     warnings: dict[tuple[str, str, str], Problem]  # by file, subject and what is odd: each once
 
     def within(self, root: Element) -> Document:
         """Return what stands inside this file; the units of the file count there, too."""
         own = _units(root, self.mistakes)
-        return replace(self, root=root, units={**self.units, **own} if own else self.units)
+        return replace(self, root=root, units=ChainMap(own, self.units) if own else self.units)
 
     def warn(self, element: Element, what: str, subject: str = "", hint: str = "") -> None:
         """Note what is odd at an element."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, islice
 
 import numpy as np
 
-from rotorsim.errors import Problem
+from rotorsim.errors import Problem, near_miss
 from rotorsim.fmi.description.model import FmuUnit, Value
 from rotorsim.ssp.structure import Component, Connection, Connector, Setting, Structure, System, same_unit
 
@@ -92,7 +92,8 @@ class Flat:
             if connector is not None:
                 wrong = f"connectors of kind {connector.kind} are not supported"
             if connector is None or connector.kind not in _SOURCES + _SINKS:
-                self._wrong(wrong, _ends(path, connection), connection)
+                hint = "" if connector else self._near(point)
+                self._wrong(wrong, _ends(path, connection), connection, hint)
                 return
             if connection.types and connector.type not in ("", *connection.types):
                 what = f"a transformation of {connection.types[0]}, and '{end.connector}' is of type {connector.type}"
@@ -111,8 +112,13 @@ class Flat:
         else:
             drivers[sink[1]] = _Driver(source[0], source[1], connection)
 
-    def _wrong(self, what: str, subject: str, connection: Connection) -> None:
-        self.problems.append(Problem(what, subject[:200], connection.place))
+    def _wrong(self, what: str, subject: str, connection: Connection, hint: str = "") -> None:
+        self.problems.append(Problem(what, subject[:200], connection.place, hint))
+
+    def _near(self, point: Point) -> str:
+        """Return a hint for a connector that is not there: only for what is shown of many mistakes."""
+        own = (name for path, name in self.connectors if path == point[0])
+        return near_miss(point[1][:80], islice(own, 1000)) if len(self.problems) < 50 else ""
 
     def feed(self, sink: Point, indices: Indices, unit_of: Callable[[Point], FmuUnit | None]) -> Feed | None:
         """Return what feeds an entry of a connector, or None. unit_of: the unit of a connector where it is known."""

@@ -14,7 +14,7 @@ from rotorsim.fmi.description.archive import Archive, check_name
 from rotorsim.fmi.description.attributes import parse_value
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, Value
 from rotorsim.fmi.description.xml_reader import Element
-from rotorsim.ssp.document import TYPES, Document, child_elements, open_document
+from rotorsim.ssp.document import VALUE_TYPES, Document, child_elements, open_document
 from rotorsim.ssp.structure import Setting
 
 MAX_SETTINGS = 1_000_000  # of all components together; a file may be bound many times
@@ -75,14 +75,12 @@ class Bindings:
             if prefix:
                 values = [replace(setting, name=prefix + setting.name) for setting in values]
             mapping = binding.first("ParameterMapping")
-            if mapping is not None:
-                entries = self._entries(mapping, subject, document)
-                values = list(_mapped(values, entries, mapping, subject, document))
-            self.count += len(values)
+            entries = self._entries(mapping, subject, document) if mapping else []
+            self.count += len(values) + len(entries)
             if self.count > MAX_SETTINGS:
-                what = f"more than {MAX_SETTINGS} values of parameters"
+                what = f"more than {MAX_SETTINGS} values of parameters and entries of mappings"
                 raise RotorsimError(Problem(what, subject, document.mistakes.place(binding)))
-            found += values
+            found += _mapped(values, entries, mapping, subject, document) if mapping else values
         return tuple(found)
 
     def _supported(self, element: Element, subject: str, document: Document, kind: str) -> bool:
@@ -164,11 +162,11 @@ def _parameters(document: Document) -> list[Setting]:
 def _parameter(element: Element, document: Document) -> Iterator[Setting]:
     mistakes = document.mistakes
     name = mistakes.attributes(element, element.get("name")).text("name", needed=True)
-    typed = next(element.all(*TYPES), None)
+    typed = next(element.all(*VALUE_TYPES), None)
     if typed is None:
         mistakes.wrong(element, "has no type that we know", name)
         return
-    kind = TYPES[typed.tag]
+    kind = VALUE_TYPES[typed.tag]
     sizes = [mistakes.attributes(d, name).whole("size", 1, most=1_000_000) for d in element.all("Dimension")]
     text = typed.attributes.get("value")
     words = [value.text for value in typed.all("Value")] if text is None else text.split() if sizes else [text]

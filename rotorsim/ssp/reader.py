@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.archive import Archive
 from rotorsim.fmi.description.xml_reader import Element
-from rotorsim.ssp.document import TYPES, Document, child_elements, open_document
+from rotorsim.ssp.document import VALUE_TYPES, Document, child_elements, open_document
 from rotorsim.ssp.parameters import Bindings, read_transformation, source_of
 from rotorsim.ssp.structure import (
     FMU,
@@ -101,10 +101,10 @@ class _Reader:
             name, kind = read.text("name", needed=True), read.choice("kind", _KINDS, "input")
             if name in found:
                 self.wrong(child, "is the name of two connectors", name)
-            typed = next(child.all(*TYPES), None)
+            typed = next(child.all(*VALUE_TYPES), None)
             unit = self.document.unit(typed) if typed else None
             sizes = [self.read(d, name).whole("size", 0, most=1_000_000) for d in child.all("Dimension")]
-            found[name] = Connector(name, kind, TYPES[typed.tag] if typed else "", unit, tuple(sizes))
+            found[name] = Connector(name, kind, VALUE_TYPES[typed.tag] if typed else "", unit, tuple(sizes))
         return tuple(found.values())
 
     def connection(self, element: Element) -> Iterator[Connection]:

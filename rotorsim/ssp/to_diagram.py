@@ -318,8 +318,10 @@ class _Writer:
             if prod(connector.dimensions) > MAX_ENTRIES:
                 self.problems.append(Problem(f"has more than {MAX_ENTRIES} entries", connector.name))
                 continue
-            for indices in np.ndindex(connector.dimensions):
-                feed = self.flat.feed(((), connector.name), tuple(i + 1 for i in indices), self._unit)
+            lost += [connector.name] if 0 in connector.dimensions else []
+            for numbers in np.ndindex(connector.dimensions):
+                indices = tuple(i + 1 for i in numbers)
+                feed = self.flat.feed(((), connector.name), indices, self._unit)
                 at = self._source(feed) if feed and feed.path in self.classes else None
                 if feed and at:
                     name = names_of([(connector.name, *map(str, indices))])
@@ -327,8 +329,10 @@ class _Writer:
                 else:
                     lost.append(connector.name)
         if lost:
-            what = f"outputs of the whole system, which no component feeds: {', '.join(dict.fromkeys(lost))[:200]}"
-            self.warnings.append(Problem(what, self.structure.name, severity="warning"))
+            shown = ", ".join(dict.fromkeys(lost))[:200]
+            what = f"outputs of the whole system that no component feeds, or whose size is not said: {shown}"
+            hint = "they are not recorded; record what feeds them in the diagram"
+            self.warnings.append(Problem(what, self.structure.name, hint=hint, severity="warning"))
         if self.free:
             shown = ", ".join(f"{name} ({', '.join(ports)})" for name, ports in self.free.items())
             what = f"inputs of the whole system, which nothing feeds: {shown[:200]}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -39,6 +40,7 @@ class Wiring:
     def __init__(self, blocks: dict[str, Any]) -> None:
         self.blocks = blocks
         self.wires: list[list[str]] = []
+        self.names: Counter[str] = Counter()
 
     def join(self, feeds: Iterable[tuple[Feed, At, At]]) -> None:
         """Wire every source to its target: whole ports where every entry goes to its own."""
@@ -83,10 +85,12 @@ class Wiring:
         return start
 
     def _add(self, name: str, block: dict[str, Any]) -> str:
-        while name in self.blocks:
-            name += "_"
-        self.blocks[name] = block
-        return name
+        made = name
+        while made in self.blocks:
+            self.names[name] += 1
+            made = f"{name}_{self.names[name] + 1}"
+        self.blocks[made] = block
+        return made
 
 
 def _between(given: tuple[float, float], wanted: tuple[float, float], feed: Feed) -> tuple[float, float]:

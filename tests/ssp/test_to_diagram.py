@@ -139,7 +139,11 @@ def test_arrays_of_ssp_2(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("elements", "joined", "what"),
     [
-        (component("a"), wire("a.y[1]", "a.nothing"), "element 'a' has no connector 'nothing'"),
+        (
+            component("a"),
+            wire("a.y[1]", "a.y[11]"),
+            "element 'a' has no connector 'y[11]'\n\nhint: did you mean 'y[1]'",
+        ),
         (component("a"), wire("a.y[1]", "b.s"), "element 'b' has no connector 's'"),
         (component("a"), wire("a.y[1]", "a.s") + wire("a.q", "a.s"), "is fed by two connections"),
         (component("a"), wire("a.y[1]", "a.q"), "two sources are connected"),

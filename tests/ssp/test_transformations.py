@@ -220,7 +220,8 @@ def test_outputs_of_the_whole_system_are_recorded_as_it_gives_them(tmp_path: Pat
     assert found["blocks"]["shown_gain"]["parameters"] == {"gain": 2.0}
     assert found["blocks"]["shown_offset"]["parameters"] == {"value": pytest.approx(3e-3, rel=1e-15)}
     assert [str(warning) for warning in done.warnings] == [
-        "warning: made: outputs of the whole system, which no component feeds: silent",
+        "warning: made: outputs of the whole system that no component feeds, or whose size is not said: silent"
+        "\n\nhint: they are not recorded; record what feeds them in the diagram",
         "warning: made: inputs of the whole system, which nothing feeds: free (a.u[1], a.s)"
         "\n\nhint: what they feed keeps its start value; wire a source in the diagram",
     ]
