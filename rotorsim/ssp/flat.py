@@ -92,7 +92,7 @@ class Flat:
             if connector is not None:
                 wrong = f"connectors of kind {connector.kind} are not supported"
             if connector is None or connector.kind not in _SOURCES + _SINKS:
-                hint = "" if connector else self._near(point)
+                hint = "inputs, outputs, parameters and constants are" if connector else self._near(point)
                 self._wrong(wrong, _ends(path, connection), connection, hint)
                 return
             if connection.types and connector.type not in ("", *connection.types):
@@ -108,7 +108,8 @@ class Flat:
         source, sink = ends if ends[0][2] else ends[::-1]
         drivers = self.drivers.setdefault(sink[0], {})
         if None in drivers or sink[1] in drivers or (sink[1] is None and drivers):
-            self._wrong("is fed by two connections", _text(sink[0]), connection)
+            hint = "one is allowed; a component that adds up can take both"
+            self._wrong("is fed by two connections", _text(sink[0]), connection, hint)
         else:
             drivers[sink[1]] = _Driver(source[0], source[1], connection)
 
@@ -154,7 +155,8 @@ class Flat:
             fit = rescaled(unit, own) if unit and own and not step.suppress else (1.0, 0.0)
             if fit is None and unit and own:
                 what = f"units do not fit: {unit.name} into {own.name}"
-                self.problems.append(Problem(what, f"{_text(point)} -> {_text(target)}"[:200], step.place))
+                hint = 'suppressUnitConversion="true" hands the number over as it is'
+                self.problems.append(Problem(what, f"{_text(point)} -> {_text(target)}"[:200], step.place, hint))
             unit = own or unit
             for a, b in (fit or (1.0, 0.0), (step.factor, step.offset)):
                 factor, offset = a * factor, a * offset + b

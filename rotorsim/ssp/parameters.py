@@ -135,7 +135,8 @@ def source_of(element: Element, archive: Archive, subject: str, document: Docume
     """Return the file in the archive that a relative URI names, "" where it is wrong."""
     uri = element.attributes.get("source")
     if uri is None:
-        document.mistakes.wrong(element, "has no source: nothing implements it", subject)
+        hint = 'a file of the archive: source="resources/NAME"'
+        document.mistakes.wrong(element, "has no source", subject, hint)
         return ""
     name = unquote(uri, errors="replace").removeprefix("./")
     reasons = {
@@ -146,7 +147,8 @@ def source_of(element: Element, archive: Archive, subject: str, document: Docume
     }
     why = next((why for why, is_so in reasons.items() if why and is_so), "")
     if why:
-        document.mistakes.wrong(element, f"source '{uri[:80]}': {why}", subject)
+        hint = "files of the archive are named from its root: resources/NAME"
+        document.mistakes.wrong(element, f"source '{uri[:80]}': {why}", subject, hint)
     return "" if why else name
 
 

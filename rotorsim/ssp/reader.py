@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.fmi.description.archive import Archive
 from rotorsim.fmi.description.xml_reader import Element
 from rotorsim.ssp.document import VALUE_TYPES, Document, child_elements, open_document
@@ -81,10 +81,12 @@ class _Reader:
     def component(self, element: Element) -> Component:
         name, kind = element.get("name"), element.get("type", FMU)
         if kind != FMU:
-            self.wrong(element, f"components of type {kind[:80]} are not supported: only FMUs", name)
+            hint = "import a package by itself; what it holds can be put into this system"
+            self.wrong(element, f"components of type {kind[:80]} are not supported: only FMUs", name, hint)
         implementation = element.get("implementation", "any")
         if implementation not in _IMPLEMENTATIONS:
-            self.wrong(element, f'implementation="{implementation[:40]}" is not supported', name)
+            hint = near_miss(implementation[:40], _IMPLEMENTATIONS)
+            self.wrong(element, f'implementation="{implementation[:40]}" is not supported', name, hint)
         return Component(
             name,
             source_of(element, self.archive, name, self.document),

@@ -190,7 +190,8 @@ class _Writer:
                     continue
                 if feed.path in self.flat.components:
                     if connector.kind != "input" or at is None:
-                        self._wrong(path, entry.name, "an output feeds it, and it is no numeric input")
+                        hint = "a parameter is given by a value, or by a connector of a system"
+                        self._wrong(path, entry.name, "an output feeds it, and it is no numeric input", hint)
                     else:
                         fed.append((feed, at))
                 elif feed.setting is not None:
@@ -230,9 +231,12 @@ class _Writer:
         free = {key: port for key, port in found.fmu_inputs.items() if port.start is not None}
         parameters: dict[str, Any] = {}
         for key, option in found.fmu_options.items():
-            chosen = [given.pop(entry.name, None) for entry in description.entries(option.variable.name)]
-            if any(value is not None for value in chosen) and key not in wired:
-                parameters |= self._chosen(path, key, option, chosen)
+            entries = description.entries(option.variable.name)
+            chosen = {entry.name: given.pop(entry.name) for entry in entries if entry.name in given}
+            if chosen and key not in wired:
+                whole = isinstance(option.default, list)
+                start = {entry.name: entry.start if whole else option.default for entry in entries}
+                parameters |= self._chosen(path, key, option, start, {**start, **chosen})
         for key, port in {**free, **found.fmu_parameters}.items():
             mine = {k: given.pop(own) for k, own in enumerate(port.entries) if own in given}
             if not mine or key in wired:
@@ -252,12 +256,12 @@ class _Writer:
                 self._wrong(path, name, what)
         return parameters
 
-    def _chosen(self, path: Path, key: str, option: FmuOption, values: Sequence[Value | None]) -> dict[str, Any]:
+    def _chosen(
+        self, path: Path, key: str, option: FmuOption, start: dict[str, Any], given: dict[str, Any]
+    ) -> dict[str, Any]:
         """Return the parameter that sets what is no number, nothing where that is as it was."""
-        variable = option.variable
-        start = option.default if isinstance(option.default, list) else [option.default]
-        whole = [old if value is None else value for old, value in zip(start, values, strict=True)]
-        if whole == start:
+        variable, whole = option.variable, list(given.values())
+        if given == start:
             return {}
         fits = {
             "Boolean": all(value in (0, 1) for value in whole),
@@ -266,7 +270,7 @@ class _Writer:
         if variable.causality == "structuralParameter":
             self._wrong(path, variable.name, "the size of arrays is not set by systems", "set it in the diagram")
         elif option.items and whole[0] not in (*option.items, *option.items.values()):
-            hint = near_miss(str(whole[0]), option.items)
+            hint = near_miss(str(whole[0])[:80], option.items)
             self._wrong(path, variable.name, f"'{str(whole[0])[:80]}' is none of its items", hint)
         elif not fits.get(variable.type, True):
             self._wrong(path, variable.name, f"is of type {variable.type}; '{str(whole[0])[:80]}' is given")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from tests.ssp.systems import (
     linear,
     mapping,
     parameter_set,
+    ports,
     refusal,
     system,
     table,
@@ -68,6 +70,28 @@ def test_all_mistakes_are_said_at_once(tmp_path: Path) -> None:
     found = refusal(tmp_path, system(component("a", values(("p", "x"), map=bad)) + component("a")))
     for what in ("is not of type Real", "the attribute target is missing", "is the name of two elements"):
         assert what in found
+
+
+def test_two_connections_into_one_input(tmp_path: Path) -> None:
+    text = system(component("a"), wire("a.q", "a.s") + wire("a.y[1]", "a.s"))
+    place = f"{tmp_path}/made.ssp/SystemStructure.ssd:1:{text.rindex('<ssd:Connection ') + 1}"
+    hint = "hint: one is allowed; a component that adds up can take both"
+    assert refusal(tmp_path, text) == f"{place}: error: a.s: is fed by two connections\n\n{hint}"
+
+
+def test_units_that_do_not_fit_on_the_way(tmp_path: Path) -> None:
+    """The way into the inner system is in N, both ends are in m."""
+    newton = '<ssc:Unit name="N"><ssc:BaseUnit kg="1" m="1" s="-2"/></ssc:Unit>'
+    sub = f'<ssd:System name="s">{ports(way="input N")}<ssd:Elements>{component("b")}</ssd:Elements>'
+    sub += f"<ssd:Connections>{wire('way', 'b.u[1]')}</ssd:Connections></ssd:System>"
+    text = system(component("a") + sub, wire("a.y[1]", "s.way"), units=newton)
+    columns = [match.start() + 1 for match in re.finditer("<ssd:Connection ", text)]
+    hint = 'hint: suppressUnitConversion="true" hands the number over as it is'
+    file = f"{tmp_path}/made.ssp/SystemStructure.ssd"
+    assert refusal(tmp_path, text) == "\n".join(
+        f"{file}:1:{column}: error: a.y[1] -> {end}: units do not fit: {units}\n\n{hint}"
+        for end, units, column in zip(("s.way", "s.b.u[1]"), ("m into N", "N into m"), columns[::-1], strict=True)
+    )
 
 
 @pytest.mark.parametrize(

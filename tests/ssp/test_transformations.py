@@ -106,6 +106,7 @@ def test_files_of_values_and_of_a_mapping(tmp_path: Path) -> None:
         ("Enumeration", "slow", "", "mode", {}),  # as the FMU has it
         ("String", "a b", "", "word", {"word": "a b"}),
         ("Boolean", "1", "", "on", {"on": True}),
+        ("Boolean", "false", "", "on", {}),
     ],
 )
 def test_values_that_are_no_numbers(
