@@ -103,7 +103,7 @@ def _parts(parts: tuple[str, ...]) -> dict[str, list[str]]:
 def import_(file: str, out: str, as_json: bool) -> None:
     """Write a system of FMUs as a diagram: a block for each FMU, wires, values of parameters.
 
-    Nested systems are flattened; units of connections are converted by gain blocks. What is not supported is refused
+    Nested systems are flattened; factors and offsets of connections become blocks. What is not supported is refused
     by name.
 
     \b

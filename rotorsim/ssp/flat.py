@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, islice
 
 import numpy as np
 
-from rotorsim.errors import Problem
+from rotorsim.errors import Problem, near_miss
 from rotorsim.fmi.description.model import FmuUnit, Value
 from rotorsim.ssp.structure import Component, Connection, Connector, Setting, Structure, System, same_unit
 
@@ -25,7 +25,7 @@ _SINKS = ("input", "parameter", "structuralParameter")
 class Feed:
     """What feeds an entry: factor * source + offset. The source is an output, or a connector of a system.
 
-    setting: the value that is given to the connector of a system. converted: units were looked at, or are not to be.
+    setting: the value that is given to the connector of a system. unit: in which it arrives.
     """
 
     path: Path
@@ -34,7 +34,7 @@ class Feed:
     factor: float
     offset: float
     setting: Setting | None = None
-    converted: bool = False
+    unit: FmuUnit | None = None
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,12 @@ class Flat:
             if connector is not None:
                 wrong = f"connectors of kind {connector.kind} are not supported"
             if connector is None or connector.kind not in _SOURCES + _SINKS:
-                self._wrong(wrong, _ends(path, connection), connection)
+                hint = "inputs, outputs, parameters and constants are" if connector else self._near(point)
+                self._wrong(wrong, _ends(path, connection), connection, hint)
+                return
+            if connection.types and connector.type not in ("", *connection.types):
+                what = f"a transformation of {connection.types[0]}, and '{end.connector}' is of type {connector.type}"
+                self._wrong(what, _ends(path, connection), connection)
                 return
             outward = connector.kind in _SOURCES
             ends.append((point, end.indices, outward if end.element is not None else not outward))
@@ -103,12 +108,18 @@ class Flat:
         source, sink = ends if ends[0][2] else ends[::-1]
         drivers = self.drivers.setdefault(sink[0], {})
         if None in drivers or sink[1] in drivers or (sink[1] is None and drivers):
-            self._wrong("is fed by two connections", _text(sink[0]), connection)
+            hint = "one is allowed; a component that adds up can take both"
+            self._wrong("is fed by two connections", _text(sink[0]), connection, hint)
         else:
             drivers[sink[1]] = _Driver(source[0], source[1], connection)
 
-    def _wrong(self, what: str, subject: str, connection: Connection) -> None:
-        self.problems.append(Problem(what, subject[:200], connection.place))
+    def _wrong(self, what: str, subject: str, connection: Connection, hint: str = "") -> None:
+        self.problems.append(Problem(what, subject[:200], connection.place, hint))
+
+    def _near(self, point: Point) -> str:
+        """Return a hint for a connector that is not there: only for what is shown of many mistakes."""
+        own = (name for path, name in self.connectors if path == point[0])
+        return near_miss(point[1][:80], islice(own, 1000)) if len(self.problems) < 50 else ""
 
     def feed(self, sink: Point, indices: Indices, unit_of: Callable[[Point], FmuUnit | None]) -> Feed | None:
         """Return what feeds an entry of a connector, or None. unit_of: the unit of a connector where it is known."""
@@ -136,23 +147,43 @@ class Flat:
         if not hops:
             return None
         setting = None if point[0] in self.components else self.settings.get(_text(point))
-        unit = (setting.unit if setting else None) or unit_of(point)
-        factor, offset, converted = 1.0, 0.0, True
-        for target, connection in reversed(hops):
-            own = unit_of(target)
-            fit = rescaled(unit, own) if unit and own and not connection.suppress else (1.0, 0.0)
+        steps: list[tuple[Point, Setting | Connection]] = [(point, setting)] if setting else []
+        steps += reversed(hops)
+        units = self._units(point, [target for target, _ in steps], unit_of)
+        unit, factor, offset = units[0] if setting is None else setting.unit, 1.0, 0.0
+        for (target, step), own in zip(steps, units[len(units) - len(steps) :], strict=True):
+            fit = rescaled(unit, own) if unit and own and not step.suppress else (1.0, 0.0)
             if fit is None and unit and own:
                 what = f"units do not fit: {unit.name} into {own.name}"
-                self._wrong(what, f"{_text(point)} -> {_text(target)}", connection)
-            converted = converted and bool(connection.suppress or (unit and own))
+                hint = 'suppressUnitConversion="true" hands the number over as it is'
+                self.problems.append(Problem(what, f"{_text(point)} -> {_text(target)}"[:200], step.place, hint))
             unit = own or unit
-            for a, b in (fit or (1.0, 0.0), (connection.factor, connection.offset)):
+            for a, b in (fit or (1.0, 0.0), (step.factor, step.offset)):
                 factor, offset = a * factor, a * offset + b
-        return Feed(point[0], point[1], indices, factor, offset, setting, converted)
+        return Feed(point[0], point[1], indices, factor, offset, setting, unit)
+
+    def _units(
+        self, source: Point, targets: list[Point], unit_of: Callable[[Point], FmuUnit | None]
+    ) -> list[FmuUnit | None]:
+        """Return the units along a feed, of its source first unless a value is given to that.
+
+        A way into a system that has none has that of what it feeds (SSP 2.0, "Real"); one that leads out keeps what
+        comes.
+        """
+        points = targets if targets[0] == source else [source, *targets]
+        units = [unit_of(point) for point in points]
+        for k in reversed(range(len(points) - 1)):
+            path, name = points[k]
+            if units[k] is None and path not in self.components and self.connectors[path, name].kind in _SINKS:
+                units[k] = units[k + 1]
+        return units
 
 
 def rescaled(given: FmuUnit, wanted: FmuUnit) -> tuple[float, float] | None:
-    """Return (a, b) with value in the wanted unit = a * value + b, or None where the units do not fit."""
+    """Return (a, b) with value in the wanted unit = a * value + b, or None where the units do not fit.
+
+    Without a definition on one side, a unit means what its name says.
+    """
     if same_unit(given, wanted):
         return 1.0, 0.0
     given, wanted = given.known or given, wanted.known or wanted

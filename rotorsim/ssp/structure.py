@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from rotorsim.errors import Place
+from rotorsim.errors import Place, Problem
 from rotorsim.fmi.description.model import FmuUnit, Value
 
 STRUCTURE_FILE = "SystemStructure.ssd"
@@ -37,7 +37,10 @@ class Connector:
 
 @dataclass(frozen=True)
 class Setting:
-    """The value of a parameter or the start value of a variable: one value for each entry, row-major."""
+    """The value of a parameter or the start value of a variable: one value for each entry, row-major.
+
+    What takes it gets factor * value + offset, after units are converted (unless ``suppress``): a parameter mapping.
+    """
 
     name: str
     type: str
@@ -45,6 +48,9 @@ class Setting:
     unit: FmuUnit | None = None
     dimensions: tuple[int, ...] = ()
     place: Place = field(default_factory=Place)
+    factor: float = 1.0
+    offset: float = 0.0
+    suppress: bool = False
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,10 @@ class End:
 
 @dataclass(frozen=True)
 class Connection:
-    """A connection: end = factor * start + offset, after units are converted (unless ``suppress``)."""
+    """A connection: end = factor * start + offset, after units are converted (unless ``suppress``).
+
+    types: of the connectors that it may join, where its transformation is for some types only.
+    """
 
     start: End
     end: End
@@ -66,6 +75,7 @@ class Connection:
     offset: float = 0.0
     suppress: bool = False
     place: Place = field(default_factory=Place)
+    types: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,7 +105,7 @@ class System:
 
 @dataclass(frozen=True)
 class Structure:
-    """A system structure description; start and stop of its default experiment [s]."""
+    """A system structure description; start and stop of its default experiment [s]; warnings: what is odd in it."""
 
     name: str
     version: str
@@ -103,10 +113,16 @@ class Structure:
     start: float | None = None
     stop: float | None = None
     description: str = ""
+    warnings: tuple[Problem, ...] = ()
 
 
 def same_unit(a: FmuUnit, b: FmuUnit) -> bool:
-    """Return whether two units mean the same, whatever they are called; angles may be left out of definitions."""
+    """Return whether two units mean the same, whatever they are called; angles may be left out of definitions.
+
+    Of one name, they do unless both are defined: what only one file defines has no second meaning.
+    """
+    if a.name == b.name and not (a.defined and b.defined):
+        return True
     a, b = a.known or a, b.known or b
     return (a.factor, a.offset, _powers(a)) == (b.factor, b.offset, _powers(b))
 

@@ -1,7 +1,7 @@
 """A system of FMUs (SSP) as a diagram: one block of type fmu for each component, wires, values of parameters.
 
 Nested systems are flattened: component ``amb`` of system ``left`` is block ``left_amb``. Ports of FMUs are in SI
-units, so that connections of other units are wires; those with a factor go through a gain block.
+units, so that connections of other units are wires; those with a factor or an offset go through blocks that give it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path as File
 from typing import Any
@@ -19,9 +19,9 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.parse.fmt import format_document
-from rotorsim.errors import Place, Problem, RotorsimError
+from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.files import HIDDEN, sweep, temporary_prefix, write_atomically
-from rotorsim.fmi.block import FmuPort, block_class
+from rotorsim.fmi.block import FmuOption, block_class
 from rotorsim.fmi.description.archive import Archive, Limits
 from rotorsim.fmi.description.attributes import Mistakes
 from rotorsim.fmi.description.model import Entry, FmuUnit, ModelDescription, Value
@@ -29,12 +29,13 @@ from rotorsim.model.load import load
 from rotorsim.ssp.flat import Feed, Flat, Path, names_of, rescaled, value_at
 from rotorsim.ssp.reader import read_structure
 from rotorsim.ssp.structure import Component, Connector, Setting, Structure, same_unit
-from rotorsim.units import compatible
+from rotorsim.ssp.wiring import At, Wiring
 
 DIAGRAM = "diagram.json"
 DEFAULT_STEPS = 1000  # of a run where no FMU proposes a step
 MAX_COMPONENTS = 2000
 MAX_ENTRIES = 100_000  # of an array that leaves the system
+_SHOWN = 20  # values left out, and oddities of the files
 _INTO = ("input", "parameter", "structuralParameter")
 
 
@@ -88,7 +89,7 @@ def import_ssp(
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
     diagram = load(document, folder=target, trust_blocks=trust_blocks)  # its FMUs are where they stay
-    warnings = (*archive.warnings, *writer.warnings, *diagram.warnings)
+    warnings = (*archive.warnings, *_first(structure.warnings, "oddities"), *writer.warnings, *diagram.warnings)
     return ImportedSsp(target / DIAGRAM, diagram, structure, tuple(sorted(sources)), warnings)
 
 
@@ -100,21 +101,14 @@ def _share(folder: File) -> None:
         path.chmod((0o777 if path.is_dir() else 0o666) & ~mask)
 
 
+def _first(problems: Sequence[Problem], what: str) -> list[Problem]:
+    """Return the first problems, and how many more there are."""
+    more = len(problems) - _SHOWN
+    return [*problems[:_SHOWN], *([Problem(f"... and {more} more {what}", severity="warning")] if more > 0 else [])]
+
+
 def _refuse(problems: Sequence[Problem]) -> None:
     Mistakes("", list(dict.fromkeys(problems))).refuse(50, Place())
-
-
-@dataclass(frozen=True)
-class _At:
-    """An entry of a port of a block: the k-th, row-major."""
-
-    block: str
-    port: FmuPort
-    k: int
-
-    def end(self) -> str:
-        inside = ",".join(str(i + 1) for i in np.unravel_index(self.k, self.port.shape)) if self.port.shape else ""
-        return f"{self.block}.{self.port.name}" + (f"[{inside}]" if inside else "")
 
 
 class _Writer:
@@ -133,57 +127,58 @@ class _Writer:
                 self.problems += [Problem(p.what, ".".join(path), component.place, p.hint) for p in error.problems]
         _refuse(self.problems)
         self.ports = {  # FMU's own name of an entry -> port of the block
-            (path, own): _At(self.names[path], port, k)
+            (path, own): At(self.names[path], port, k)
             for path, found in self.classes.items()
             for port in (*found.fmu_inputs.values(), *found.fmu_outputs.values())
             for k, own in enumerate(port.entries)
         }
-        self.used: set[str] = set()  # settings
+        # settings that count: of a connector that something feeds, the value only stands in until that comes
+        self.used = {".".join((*path, name)) for path, name in flat.drivers if path not in flat.components}
+        self.free: dict[str, list[str]] = {}  # inputs of the whole system that nothing feeds -> ports
 
     def document(self) -> dict[str, Any]:
         """Return the diagram."""
         structure = self.structure
-        feeds: list[tuple[Feed, _At]] = []
+        feeds: list[tuple[Feed, At, At]] = []
         blocks: dict[str, Any] = {}
         for path, component in self.flat.components.items():
             values, fed = self._inputs(path, component)
-            feeds += fed
+            feeds += [(feed, source, at) for feed, at in fed if (source := self._source(feed)) is not None]
             parameters = self._parameters(path, values, {at.port.name for _, at in fed})
             if component.interface:
                 parameters = {"interface": component.interface, **parameters}
             blocks[self.names[path]] = {"type": "fmu", "file": component.source, "parameters": parameters}
-        wires = self._wires(feeds, blocks)
-        left = [name for name in self.flat.settings if name not in self.used]  # SSP leaves them out
-        for name in left[:20]:
-            place = self.flat.settings[name].place
-            self.warnings.append(Problem("is no parameter of a component: left out", name[:200], place, "", "warning"))
-        if len(left) > 20:
-            self.warnings.append(Problem(f"... and {len(left) - 20} more values left out", severity="warning"))
+        wiring = Wiring(blocks)
+        wiring.join(feeds)
+        record = self._record(wiring)
+        left = [(name, setting) for name, setting in self.flat.settings.items() if name not in self.used]
+        what = "nothing takes this value: left out"  # as SSP has it
+        odd = [Problem(what, name[:200], setting.place, severity="warning") for name, setting in left]
+        self.warnings += _first(odd, "values left out")
         document: dict[str, Any] = {"schema_version": 1, "name": structure.name or "system"}
         if structure.description:
             document["description"] = structure.description
-        return document | {"blocks": blocks, "wires": wires, "solver": self._solver(), "record": self._record()}
+        return document | {"blocks": blocks, "wires": wiring.wires, "solver": self._solver(), "record": record}
 
     def _description(self, path: Path) -> ModelDescription:
         description: ModelDescription = self.classes[path].fmu_description
         return description
 
-    def _wrong(self, path: Path, name: str, what: str) -> None:
-        self.problems.append(Problem(what, ".".join((*path, name))[:200], self.flat.components[path].place))
+    def _wrong(self, path: Path, name: str, what: str, hint: str = "") -> None:
+        self.problems.append(Problem(what, ".".join((*path, name))[:200], self.flat.components[path].place, hint))
 
     # -- what feeds the inputs -----------------------------------------------------------------------------------------
 
     def _unit(self, point: tuple[Path, str]) -> FmuUnit | None:
-        """Return the unit of a connector: as it says, or as the variable of the FMU does."""
+        """Return the unit of a connector: as the variable of the FMU says, or as it does."""
+        own = _unit_of(self._description(point[0]), point[1]) if point[0] in self.classes else None
         connector = self.flat.connectors.get(point)
-        if connector is not None and connector.unit is not None:
-            return connector.unit
-        return _unit_of(self._description(point[0]), point[1]) if point[0] in self.classes else None
+        return own or (connector.unit if connector else None)
 
-    def _inputs(self, path: Path, component: Component) -> tuple[dict[str, Value], list[tuple[Feed, _At]]]:
+    def _inputs(self, path: Path, component: Component) -> tuple[dict[str, Value], list[tuple[Feed, At]]]:
         """Return the values that connectors of systems give to entries, and the entries that outputs feed."""
         values: dict[str, Value] = {}
-        fed: list[tuple[Feed, _At]] = []
+        fed: list[tuple[Feed, At]] = []
         for connector in component.connectors:
             entries = self._description(path).entries(connector.name)
             if why := self._mismatch(path, connector, entries):
@@ -195,17 +190,20 @@ class _Writer:
                     continue
                 if feed.path in self.flat.components:
                     if connector.kind != "input" or at is None:
-                        self._wrong(path, entry.name, "an output feeds it, and it is no numeric input")
+                        hint = "a parameter is given by a value, or by a connector of a system"
+                        self._wrong(path, entry.name, "an output feeds it, and it is no numeric input", hint)
                     else:
                         fed.append((feed, at))
                 elif feed.setting is not None:
                     self.used.add(".".join((*feed.path, feed.connector)))
                     source = self.flat.connectors.get((feed.path, feed.connector))
                     value = value_at(feed.setting, feed.indices, source.dimensions if source else ())
-                    if value is None or isinstance(value, str):
+                    if value is None or (isinstance(value, str) and (feed.factor, feed.offset) != (1.0, 0.0)):
                         self._wrong(path, entry.name, f"no value of {feed.connector} fits it")
                     else:
-                        values[entry.name] = feed.factor * value + feed.offset
+                        values[entry.name] = _line(value, feed.factor, feed.offset)
+                elif not feed.path and connector.kind == "input" and at is not None:
+                    self.free.setdefault(feed.connector, []).append(at.end())
         return values, fed
 
     def _mismatch(self, path: Path, connector: Connector, entries: Sequence[Entry]) -> str:
@@ -232,6 +230,13 @@ class _Writer:
                 given = {**self._entries(full, description, name, self.flat.settings[full]), **given}
         free = {key: port for key, port in found.fmu_inputs.items() if port.start is not None}
         parameters: dict[str, Any] = {}
+        for key, option in found.fmu_options.items():
+            entries = description.entries(option.variable.name)
+            chosen = {entry.name: given.pop(entry.name) for entry in entries if entry.name in given}
+            if chosen and key not in wired:
+                whole = isinstance(option.default, list)
+                start = {entry.name: entry.start if whole else option.default for entry in entries}
+                parameters |= self._chosen(path, key, option, start, {**start, **chosen})
         for key, port in {**free, **found.fmu_parameters}.items():
             mine = {k: given.pop(own) for k, own in enumerate(port.entries) if own in given}
             if not mine or key in wired:
@@ -239,35 +244,61 @@ class _Writer:
             array = np.array(port.start, float)
             for k, value in mine.items():
                 factor, offset = port.scales[k]
-                array.flat[k] = factor * float(value) + offset
+                if isinstance(value, str):
+                    self._wrong(path, port.entries[k], f"is a number; '{value[:80]}' is given")
+                else:
+                    array.flat[k] = factor * float(value) + offset
             if not np.array_equal(array, port.start):
                 parameters[key] = array.tolist()
         for name, value in given.items():
             if description.entries(name)[0].start != value:
-                what = "cannot be set: it is no numeric parameter with a start value, and no input"
+                what = "cannot be set: it is no parameter with a start value, and no input"
                 self._wrong(path, name, what)
         return parameters
+
+    def _chosen(
+        self, path: Path, key: str, option: FmuOption, start: dict[str, Any], given: dict[str, Any]
+    ) -> dict[str, Any]:
+        """Return the parameter that sets what is no number, nothing where that is as it was."""
+        variable, whole = option.variable, list(given.values())
+        if given == start:
+            return {}
+        fits = {
+            "Boolean": all(value in (0, 1) for value in whole),
+            "String": all(isinstance(value, str) for value in whole),
+        }
+        if variable.causality == "structuralParameter":
+            self._wrong(path, variable.name, "the size of arrays is not set by systems", "set it in the diagram")
+        elif option.items and whole[0] not in (*option.items, *option.items.values()):
+            hint = near_miss(str(whole[0])[:80], option.items)
+            self._wrong(path, variable.name, f"'{str(whole[0])[:80]}' is none of its items", hint)
+        elif not fits.get(variable.type, True):
+            self._wrong(path, variable.name, f"is of type {variable.type}; '{str(whole[0])[:80]}' is given")
+        else:
+            whole = [bool(value) for value in whole] if variable.type == "Boolean" else whole
+            return {key: whole if isinstance(option.default, list) else whole[0]}
+        return {}
 
     def _entries(self, full: str, description: ModelDescription, name: str, setting: Setting) -> dict[str, Value]:
         """Return the entries of a variable and their values, in the unit of the FMU."""
         entries, own = description.entries(name), _unit_of(description, name)
-        fit = rescaled(setting.unit, own) if setting.unit is not None and own is not None else (1.0, 0.0)
-        if fit is None and setting.unit is not None and own is not None:
-            what = f"is given in {setting.unit.name}, but the FMU has it in {own.name}"
+        given = setting.unit if own is not None and not setting.suppress else None
+        fit = rescaled(given, own) if given and own else (1.0, 0.0)
+        if fit is None and given and own:
+            what = f"is given in {given.name}, but the FMU has it in {own.name}"
         elif len(setting.values) != len(entries):
             what = f"{len(setting.values)} values are given, {len(entries)} expected"
-        elif fit == (1.0, 0.0) or fit is None:
-            return {entry.name: value for entry, value in zip(entries, setting.values, strict=True)}
         else:
+            a, b = fit or (1.0, 0.0)
+            factor, offset = setting.factor * a, setting.factor * b + setting.offset
             pairs = zip(entries, setting.values, strict=True)
-            plain = str | bool
-            return {e.name: v if isinstance(v, plain) else fit[0] * float(v) + fit[1] for e, v in pairs}
+            return {entry.name: _line(value, factor, offset) for entry, value in pairs}
         self.problems.append(Problem(what, full, setting.place))
         return {}
 
     # -- wires ---------------------------------------------------------------------------------------------------------
 
-    def _source(self, feed: Feed) -> _At | None:
+    def _source(self, feed: Feed) -> At | None:
         """Return the output that feeds something."""
         entries = self._description(feed.path).entries(feed.connector)
         entry = next((e for e in entries if e.indices == feed.indices), None)
@@ -279,57 +310,36 @@ class _Writer:
             self._wrong(feed.path, entry.name, f"a connection of type {entry.variable.type} is not supported")
         return at
 
-    def _wires(self, feeds: Sequence[tuple[Feed, _At]], blocks: dict[str, Any]) -> list[list[str]]:
-        """Return the wires: of whole ports where every entry goes to its own."""
-        groups: dict[tuple[str, str, str, str, float, bool], list[tuple[_At, _At]]] = {}
-        for feed, target in feeds:
-            source = self._source(feed)
-            if source is None:
-                continue
-            factor, offset = _between(source, target, feed)
-            if offset:
-                what = f"connections with an offset ({offset:g}) are not supported"
-                self.problems.append(Problem(what, f"{source.end()} -> {target.end()}"))
-            same = compatible(source.port.unit, target.port.unit) == "same"
-            fits = factor == 1.0 and (same or not feed.converted)
-            key = source.block, source.port.name, target.block, target.port.name, factor, fits
-            groups.setdefault(key, []).append((source, target))
-        wires: list[list[str]] = []
-        for (block, port, other, into, factor, fits), pairs in groups.items():
-            given, wanted = pairs[0][0].port, pairs[0][1].port
-            straight = [(a.k, b.k) for a, b in pairs] == [(k, k) for k in range(len(wanted.entries))]
-            ends = [[a.end(), b.end()] for a, b in pairs]
-            if given.shape == wanted.shape and straight:
-                ends = [[f"{block}.{port}", f"{other}.{into}"]]
-            for start, end in ends:
-                if fits:
-                    wires.append([start, end])
-                    continue
-                name = f"{other}_{into}_gain"
-                while name in blocks:
-                    name += "_"
-                blocks[name] = {"type": "gain", "parameters": {"gain": factor}}
-                wires += [[start, f"{name}.input"], [f"{name}.output", end]]
-        return wires
-
     # -- run -----------------------------------------------------------------------------------------------------------
 
-    def _record(self) -> list[str]:
+    def _record(self, wiring: Wiring) -> list[str]:
         """Return what leaves the whole system, or else every output of its components."""
         found: list[str] = []
-        silent: list[str] = []
+        lost: list[str] = []
         for connector in self.structure.system.connectors:
+            if connector.kind not in ("output", "calculatedParameter"):
+                continue
             if prod(connector.dimensions) > MAX_ENTRIES:
                 self.problems.append(Problem(f"has more than {MAX_ENTRIES} entries", connector.name))
-            elif connector.kind in ("output", "calculatedParameter"):
-                for indices in np.ndindex(connector.dimensions):
-                    feed = self.flat.feed(((), connector.name), tuple(i + 1 for i in indices), self._unit)
-                    at = self._source(feed) if feed and feed.path in self.classes else None
-                    found += [at.end()] if at else []
-            elif connector.name not in self.used:
-                silent.append(connector.name)
-        if silent:
-            what = f"inputs of the whole system, which nothing feeds: {', '.join(silent)[:200]}"
+                continue
+            lost += [connector.name] if 0 in connector.dimensions else []
+            for numbers in np.ndindex(connector.dimensions):
+                indices = tuple(i + 1 for i in numbers)
+                feed = self.flat.feed(((), connector.name), indices, self._unit)
+                at = self._source(feed) if feed and feed.path in self.classes else None
+                if feed and at:
+                    name = names_of([(connector.name, *map(str, indices))])
+                    found.append(wiring.shown(feed, at, next(iter(name.values()))))
+                else:
+                    lost.append(connector.name)
+        if lost:
+            shown = ", ".join(dict.fromkeys(lost))[:200]
+            what = f"outputs of the whole system that no component feeds, or whose size is not said: {shown}"
+            hint = "they are not recorded; record what feeds them in the diagram"
+            self.warnings.append(Problem(what, self.structure.name, hint=hint, severity="warning"))
+        if self.free:
+            shown = ", ".join(f"{name} ({', '.join(ports)})" for name, ports in self.free.items())
+            what = f"inputs of the whole system, which nothing feeds: {shown[:200]}"
             hint = "what they feed keeps its start value; wire a source in the diagram"
             self.warnings.append(Problem(what, self.structure.name, hint=hint, severity="warning"))
         ports = [f"{self.names[path]}.{port}" for path, made in self.classes.items() for port in made.fmu_outputs]
@@ -345,17 +355,14 @@ class _Writer:
         return {"method": "rk4", "step": min(step, stop), "stop": stop}
 
 
-def _between(source: _At, target: _At, feed: Feed) -> tuple[float, float]:
-    """Return (a, b): what a feed makes of a signal in the diagram, where both ends are in SI units."""
-    (f, o), (into, at) = source.port.scales[source.k], target.port.scales[target.k]
-    factor = feed.factor * into / f
-    offset = into * (feed.offset - feed.factor * o / f) + at
-    nothing = 1e-12 * max(abs(into * feed.offset), abs(factor * o), abs(at))
-    exact = abs(factor - 1.0) < 1e-12
-    return 1.0 if exact else float(factor), 0.0 if abs(offset) <= nothing else float(offset)
+def _line(value: Value, factor: float, offset: float) -> Value:
+    """Return factor * value + offset, and the value itself where that is the same."""
+    return value if (factor, offset) == (1.0, 0.0) or isinstance(value, str) else factor * value + offset
 
 
 def _unit_of(description: ModelDescription, name: str) -> FmuUnit | None:
     """Return the unit of a variable where the FMU defines it, or its name is known."""
-    entries = description.entries(name)
-    return description.unit_of(entries[0].variable) if entries else None
+    variable = next((entry.variable for entry in description.entries(name)), None)
+    found = description.unit_of(variable) if variable else None
+    declared = description.units.get(variable.unit) if variable and found else None
+    return replace(found, defined=declared is not None and declared.defined) if found else None
