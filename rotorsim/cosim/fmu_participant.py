@@ -56,6 +56,11 @@ class FmuParticipant(Participant):
             tuple(n for p in own for n in entry_names(f"{name}.{p.name}", p.shape)) for own in ports
         )
         self._u_names, self._y_names = ([entry for port in own for entry in port.entries] for own in ports)
+        starts = [
+            np.zeros(len(port.entries)) if port.start is None else np.ravel(port.start)
+            for port in self.input_ports.values()
+        ]
+        self.u_starts = np.concatenate([np.zeros(0), *starts])
         self.u_scales, self.y_scales = _scales(self.input_ports), _scales(self.output_ports)
         self.kind = description.kinds[self.slave.kind]
         own = self.kind.fixed_step or description.experiment.step

@@ -36,6 +36,7 @@ class Participant(ABC):
     method: str = "rk4"  # that integrates the states of an FMU for Model Exchange
     do_steps: int = 0  # of an FMU for Co-Simulation, and of one step of the master at most
     most_parts: int = 0
+    u_starts: np.ndarray | None = None  # (n_u,) inputs with which it is initialised first; None: zero
     u_scales: np.ndarray | None = None  # (n, 2): SI = factor * value in loop.c + offset; None: all are SI
     y_scales: np.ndarray | None = None
 

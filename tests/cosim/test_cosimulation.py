@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rotorsim.cosim.cosimulation import cosimulate_diagram, couple
+from rotorsim.cosim.fmu_participant import FmuParticipant
 from rotorsim.cosim.stability import coupling_stability
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
@@ -19,6 +20,7 @@ from rotorsim.model.emit.toolchain import find_compiler
 from rotorsim.model.load import load
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
+from tests.fmi.gauge import description, gauge_fmu, with_gauge
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="FMUs are built by a C compiler")
 INNER, STOP = 4e-6, 0.02
@@ -173,3 +175,19 @@ def test_part_of_a_signal_is_recorded(folder: Path) -> None:
     document = {**load("jeffcott").document, "record": ["rotor.displacement[2]"]}
     whole, part = (cosimulate_diagram(load(d), [["controller"]], step=1e-4, stop=0.01) for d in ("jeffcott", document))
     np.testing.assert_array_equal(part["rotor.displacement[2]"], whole["rotor.displacement"][:, 1])
+
+
+def test_an_fmu_begins_with_the_start_values_of_its_inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Zero may be no value for it, such as of a pressure: until the others have outputs it keeps its own."""
+    seen: list[float] = []
+    old = FmuParticipant.initialise
+
+    def initialise(self: FmuParticipant, t: float, u: np.ndarray) -> None:
+        seen.append(float(u[0]))
+        old(self, t, u)
+
+    monkeypatch.setattr(FmuParticipant, "initialise", initialise)
+    text = description().replace('<Real start="0" />', '<Real start="101325"/>', 1)
+    found = cosimulate_diagram(with_gauge(gauge_fmu(tmp_path, text), more={"value": 3.0}), step=0.1, stop=0.5)
+    assert seen == [101325.0]
+    assert found["it.y"].tolist() == [3.0] * 6

@@ -78,10 +78,15 @@ class Master(ABC):
         """The order of the inputs within a step, as it is reported."""
 
     def start(self, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Initialise all participants at t with inputs that agree with their outputs; return u (n_u,) and y (n_y,)."""
+        """Initialise all participants at t with inputs that agree with their outputs; return u (n_u,) and y (n_y,).
+
+        Until outputs are known an FMU has the start values of its inputs: zero may be no value for it.
+        """
         coupling = self.coupling
         own = list(zip(coupling.participants, coupling.u_parts, strict=True))
         u = coupling.u0.copy()
+        for participant, part in own:
+            u[part] += 0.0 if participant.u_starts is None else participant.u_starts
         for participant, part in own:
             participant.initialise(t, u[part])
         u, _ = coupling.consistent(t, u)
