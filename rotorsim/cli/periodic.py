@@ -21,7 +21,7 @@ from rotorsim.cli.shared import (
     warn,
 )
 from rotorsim.errors import Problem
-from rotorsim.report.text.table import degrees, display_unit, rpm, table
+from rotorsim.report.text.table import degrees, display_unit, percent, rpm, table
 
 if TYPE_CHECKING:
     from rotorsim.settled.result import Periodic
@@ -62,6 +62,12 @@ def command(
     result = periodic(loaded, speeds=at, harmonics=harmonics, subharmonic=subharmonic, signals=record or None)
     for name in result.drifting:
         note(f"{name} drifts: its mean has no settled value")
+    coupling = result.provenance.get("coupling_error")
+    if coupling is not None:
+        settled = f"extrapolated from {result.counters['turns']} periods at most"
+        note(
+            f"co-simulated, {settled}; error of the coupling: {percent(max(coupling))} of the largest harmonic at most"
+        )
     refuse_if(plot and len(result.speeds) < 2, "--plot needs several speeds", hint="give --speeds")
 
     save_plot(lambda: result.plot(title=loaded.name), plot)
@@ -93,7 +99,7 @@ def command(
         "status": result.status,
         "stable": result.stable,
         "drifting": result.drifting,
-    }
+    } | ({} if coupling is None else {"coupling_error": coupling})
     names = result.two_axis or result.harmonics
     show(as_json, lambda: data, lambda: "\n\n".join(_table(result, name) for name in names))
     return 1 if failed else 0

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +19,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.linearisation import flat_names
 from rotorsim.linear.stability import rounded_down
 from rotorsim.model.compiled import Model
-from rotorsim.simulation.result import Result
+from rotorsim.simulation.result import Result, cut
 from rotorsim.simulation.run import Progress, check_times, provenance_of
 from rotorsim.simulation.validity import LARGEST_ERROR, SAFETY, relative_errors
 
@@ -54,20 +54,16 @@ def simulate_coupled(
         hint = "without --settle; rotorsim periodic settles such a diagram"
         raise RotorsimError(Problem("its states are hidden: none can be given", ", ".join(model.hidden), hint=hint))
     names, p = model.record_names(record), model.parameter_vector(parameters)
-    ports = dict.fromkeys(model.select(name)[0].name for name in names)
-    recorded = tuple(Endpoint(block, port) for block, _, port in (name.rpartition(".") for name in ports))
-    diagram = replace(with_values(model, p), record=recorded)
     n_steps = max(round(np.ceil(end / h - 1e-9)), 1)
     begun = clock.process_time()
-    settings: dict[str, Any] = {"stop": n_steps * h, "master": MASTER, "solver": method or "rk4"}
-    settings |= {"use_compiler": use_compiler}
-    whole = cosimulate_diagram(diagram, step=h, check=True, progress=_part(progress, 0.0, SHARE), **settings)
+    settings: dict[str, Any] = {"stop": n_steps * h, "method": method or "rk4", "use_compiler": use_compiler}
+    whole = coupling_of(model, names, p, step=h, check=True, progress=_part(progress, 0.0, SHARE), **settings)
     time, signals = _on_grid(model, whole, names, h, every)
     ran = clock.process_time()
     counters = {**whole.counters, "run_cpu_seconds": ran - begun}
     status, message, cause = whole.status, whole.message, "" if whole.status == "finished" else "part"
     if status == "finished":
-        finer = cosimulate_diagram(diagram, step=h / 2, progress=_part(progress, SHARE, 1.0), **settings)
+        finer = coupling_of(model, names, p, step=h / 2, progress=_part(progress, SHARE, 1.0), **settings)
         if finer.status == "finished":
             _, others = _on_grid(model, finer, names, h, every)
             errors = relative_errors(
@@ -109,15 +105,37 @@ def _part(progress: Progress | None, start: float, end: float) -> Progress | Non
     return None if progress is None else lambda share: progress(start + (end - start) * share)
 
 
+def coupling_of(
+    model: Model,
+    names: Iterable[str],
+    p: np.ndarray,
+    *,
+    step: float,
+    stop: float,
+    method: str = "rk4",
+    check: bool = False,
+    progress: Progress | None = None,
+    use_compiler: bool = True,
+) -> Result:
+    """Return the co-simulation by the default master with parameters p (n_p,) that records the ports of signals."""
+    ports = dict.fromkeys(model.select(name)[0].name for name in names)
+    recorded = tuple(Endpoint(block, port) for block, _, port in (name.rpartition(".") for name in ports))
+    diagram = replace(with_values(model, p), record=recorded)
+    settings: dict[str, Any] = {"master": MASTER, "solver": method, "check": check, "progress": progress}
+    return cosimulate_diagram(diagram, step=step, stop=stop, use_compiler=use_compiler, **settings)
+
+
+def rows_of(model: Model, result: Result, names: Iterable[str], times: np.ndarray, h: float) -> np.ndarray:
+    """Return the entries of signals at times that are communication points, (n, entries); h: the step."""
+    at = np.clip(np.searchsorted(result.time, times - 1e-9 * h), 0, len(result.time) - 1)
+    columns = [result[flat][at] for name in names for flat in flat_names(model, name)]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))
+
+
 def _on_grid(
-    model: Model, result: Result, names: Iterable[str], h: float, every: int
+    model: Model, result: Result, names: Sequence[str], h: float, every: int
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the times and signals that are recorded: sample hits are communication points as well, and left out."""
     grid = np.arange(int(np.floor(result.time[-1] / h + 1e-9)) // every + 1) * every * h
-    rows = np.clip(np.searchsorted(result.time, grid - 1e-9 * h), 0, len(result.time) - 1)
-    signals = {}
-    for name in names:
-        shape = model.shape_of(name)
-        columns = [result[flat][rows] for flat in flat_names(model, name)]
-        signals[name] = np.stack(columns, axis=1).reshape(len(grid), *shape)
-    return grid, signals
+    rows = rows_of(model, result, names, grid, h)
+    return grid, cut(rows, {name: model.shape_of(name) for name in names})[0]

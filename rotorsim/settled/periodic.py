@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from importlib import import_module
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -14,7 +15,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear import linearisation as linear
 from rotorsim.linear.eigenmodes import checked_speeds, require_speed
-from rotorsim.model.compiled import Model
+from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.model.input_limits import input_limits, passed_limit
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.balance import harmonics_of, samples_of
@@ -23,7 +24,9 @@ from rotorsim.settled.equations import FIRST_SAMPLES, instants, without_inputs
 from rotorsim.settled.forcing import PROBE, ZERO_COEFFICIENT
 from rotorsim.settled.result import Periodic
 
-__all__ = ["Periodic", "periodic"]
+__all__ = ["Channels", "Periodic", "periodic"]
+
+COUPLED_PERIODIC = "rotorsim.cosim.coupled_periodic"  # a room above this one: imported where parts hide their equations
 
 
 class _Setup(Setup):
@@ -58,18 +61,21 @@ def periodic(
     what the diagram records. subharmonic: the period in turns. stability: examine whether the motion is stable
     (eigenvalues of A, or Floquet multipliers). tolerance: relative size of the harmonics left out.
 
+    Where a part hides its equations the diagram is co-simulated, and the motion extrapolated to where it settles.
+
     A speed at which no solution is found says so in ``status`` and leaves the others as they are.
 
     Raises RotorsimError for sampled blocks, motion that is not periodic (a ramp, another period), wrong names.
     Source: Cameron & Griffin, J. Appl. Mech. 56 (1989) 149-154; Krack & Gross, Harmonic Balance for Nonlinear
     Vibration Problems (2019), ch. 2-4.
     """
-    model = linear.as_model(diagram)
-    linear.refuse_sampled(model, "periodic")
+    model = model_for_runs(diagram)
+    if not model.hidden:
+        model = linear.as_model(model)
+        linear.refuse_sampled(model, "periodic")
     require_speed(model, "periodic")
     if subharmonic < 1 or (harmonics is not None and harmonics < 1):
         raise RotorsimError(Problem(what="subharmonic and harmonics must be at least 1", subject="periodic"))
-    setup = _SETUPS.get(model) or _SETUPS.setdefault(model, _Setup(model))
     p0 = model.parameter_vector(parameters)
     own = linear.speed_of(model, p0)
     if speeds is None and not own:
@@ -79,7 +85,12 @@ def periodic(
         )
     values = checked_speeds([own or 0.0] if speeds is None else speeds, zero=False)
     p = np.repeat(p0[None], len(values), 0)
-    p[:, setup.speed_entries] = values[:, None]
+    p[:, linear.speed_entries(model)] = values[:, None]
+    if model.hidden:
+        coupled = import_module(COUPLED_PERIODIC).periodic_coupled
+        found: Periodic = coupled(model, signals, values, p, parameters, harmonics=harmonics, subharmonic=subharmonic)
+        return found
+    setup = _SETUPS.get(model) or _SETUPS.setdefault(model, _Setup(model))
 
     base = values / subharmonic
     names = _returning(setup, signals, float(base[0]), p[0])
@@ -98,11 +109,8 @@ def periodic(
     return Periodic(
         speeds=values,
         orders=np.arange(-H, H + 1) if subharmonic == 1 else np.arange(-H, H + 1) / subharmonic,
-        harmonics={
-            **{name: both[:, :, k] + 1j * both[:, :, k + 1] for name, k in outputs.pairs.items()},
-            **{name: both[:, :, k] for k, name in enumerate(outputs.channels)},
-        },
-        units=outputs.units,
+        harmonics=outputs.channels.signals(both),
+        units=outputs.channels.units,
         status=tuple(said + text if said == "settled" else said for said in motion.status),
         stable=motion.stable,
         truncation=motion.truncation,
@@ -174,13 +182,13 @@ def _returning(setup: _Setup, signals: Sequence[str] | None, base: float, p: np.
     return setup.returning[key]
 
 
-class _Outputs:
-    """Signals as functions of the states: y = C x + y0(t) where they are linear, else y(t, x).
+class Channels:
+    """The entries of signals, one behind the other, and which of them are x and y of a signal with two axes.
 
-    channels: flat names; pairs: name of a two-axis signal -> place of its first channel.
+    names: flat names; pairs: name of a two-axis signal -> place of its first channel; units: of both.
     """
 
-    def __init__(self, model: Model, names: tuple[str, ...]) -> None:
+    def __init__(self, model: Model, names: Sequence[str]) -> None:
         if not names:
             raise RotorsimError(
                 Problem(
@@ -189,8 +197,7 @@ class _Outputs:
                     hint='add "record": ["rotor.displacement"] or name signals',
                 )
             )
-        self.model = model
-        self.channels: list[str] = []
+        self.names: list[str] = []
         self.pairs: dict[str, int] = {}
         self.units: dict[str, str] = {}
         for name in names:
@@ -200,9 +207,23 @@ class _Outputs:
             if shape and shape[-1] == 2:
                 for k in range(0, len(flat), 2):
                     pair = name if len(flat) == 2 else f"{flat[k].rpartition(',')[0]}]"
-                    self.pairs[pair], self.units[pair] = len(self.channels) + k, unit
-            self.channels += flat
+                    self.pairs[pair], self.units[pair] = len(self.names) + k, unit
+            self.names += flat
             self.units.update(dict.fromkeys(flat, unit))
+
+    def signals(self, both: np.ndarray) -> dict[str, np.ndarray]:
+        """Return harmonics by name from those of the channels at orders -H..H, (n, 2H+1, channels)."""
+        return {
+            **{name: both[:, :, k] + 1j * both[:, :, k + 1] for name, k in self.pairs.items()},
+            **{name: both[:, :, k] for k, name in enumerate(self.names)},
+        }
+
+
+class _Outputs:
+    """Signals as functions of the states: y = C x + y0(t) where they are linear, else y(t, x)."""
+
+    def __init__(self, model: Model, names: tuple[str, ...]) -> None:
+        self.model, self.channels = model, Channels(model, names)
         self._y = without_inputs(model, ca.vertcat(*[model.expression(name) for name in names]))
 
     def _function(self, expression: Any) -> MatrixFunction:
@@ -234,12 +255,12 @@ class _Outputs:
             Y = X @ C.transpose(0, 2, 1) + harmonics_of(y.reshape(n, m, -1), count - 1)
         else:
             m = max(8 * count, 128)
-            Y = np.full((n, count, len(self.channels)), np.nan + 0j)
+            Y = np.full((n, count, len(self.channels.names)), np.nan + 0j)
             for j, times in enumerate(instants(base, m)):
                 if np.isfinite(X[j]).all():
                     y = self._values(times[None], samples_of(X[j : j + 1], m)[0].T, setup.z, p[j])
                     Y[j] = harmonics_of(y[None, :, :, 0], count - 1)[0]
-            C = np.zeros((1, len(self.channels), n_x))
+            C = np.zeros((1, len(self.channels.names), n_x))
             C[:, self._matrix.rows, self._matrix.columns] = 1.0
         Y[:, 0, np.any(C[:, :, drifting] != 0, axis=(0, 2))] = np.nan
         return np.asarray(Y)

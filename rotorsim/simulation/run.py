@@ -24,7 +24,7 @@ from rotorsim.simulation.validity import Run, Stretch, judge, loose_tolerance, s
 
 LARGEST_RESIDUAL = 1e-9  # of algebraic loops
 LARGEST_RECORD = 1e9  # bytes; summing up and writing takes two to three times as much for a while
-COUPLED = "rotorsim.cosim.coupled_run"  # a room above this one: imported where parts hide their equations
+COUPLED_RUN = "rotorsim.cosim.coupled_run"  # a room above this one: imported where parts hide their equations
 UNKNOWN_ERROR = "the error of the step was not estimated: a part had events, and does not let its state be saved"
 Progress = Callable[[float], None]
 
@@ -54,7 +54,7 @@ def simulate(
     """
     model = model_for_runs(diagram)
     if model.hidden:
-        coupled = import_module(COUPLED).simulate_coupled
+        coupled = import_module(COUPLED_RUN).simulate_coupled
         given: dict[str, Any] = {"parameters": parameters, "stop": stop, "step": step, "method": method}
         given |= {"record": record, "record_every": record_every, "initial": initial, "progress": progress}
         result: Result = coupled(model, use_compiler=use_compiler, **given)

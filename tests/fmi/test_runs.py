@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from rotorsim.errors import RotorsimError
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
+from rotorsim.settled.periodic import periodic
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
 from tests.fmi.conftest import Make
@@ -20,6 +21,7 @@ from tests.fmi.events import alone, events_fmu
 from tests.fmi.test_equations import of_plant, with_fmu
 
 G, E, H = 9.81, 0.8, 1e-2
+SETTLED = ("rotor.displacement", "controller.current")
 METHODS = pytest.mark.parametrize("method", ["rk4", "dop853", "radau"])
 
 
@@ -214,3 +216,49 @@ def test_a_recording_of_it_can_be_made(fmu: Make, run: Any) -> None:
     refused = run("record", "it.json", "--trust-blocks", "--settle", "--out", "other")
     assert refused.exit_code == 2
     assert "rotor: is an FMU for Co-Simulation, which hides its states and equations" in refused.stderr
+
+
+@pytest.mark.parametrize("block", ["rotor", "controller"])
+def test_settled_motion_is_extrapolated(fmu: Make, block: str) -> None:
+    """The mean of the current has a time constant of 8 s, and 24 turns last 1 s: it is extrapolated all the same."""
+    diagram = with_fmu(fmu, block, interface="cs")
+    plain, made = (periodic(one, speeds=[150.0]) for one in (load("jeffcott"), diagram))
+    assert (made.status, made.stable) == (("settled",), (True,))
+    assert sorted(made.harmonics) == sorted(plain.harmonics)
+    assert made.counters["turns"] <= 48
+    assert made.harmonic("controller.current", 0) == pytest.approx(plain.harmonic("controller.current", 0), rel=1e-4)
+    told = made.provenance["coupling_error"][0]
+    off = [
+        np.abs(made.harmonic(name, k) - plain.harmonic(name, k))[0] / np.abs(plain.harmonics[name]).max()
+        for name in set(plain.harmonics) - set(SETTLED)  # the channels
+        for k in range(10)
+    ]
+    assert max(off) == pytest.approx(told, rel=0.25)
+    assert 0.005 < told < 0.1
+
+
+def test_its_error_goes_with_the_step(fmu: Make) -> None:
+    document = dict(with_fmu(fmu, "controller", interface="cs").document)
+    told = [
+        periodic(load({**document, "solver": {"step": h}}, trust_blocks=True), speeds=[150.0], harmonics=9).provenance[
+            "coupling_error"
+        ][0]
+        for h in (1e-4, 2.5e-5)
+    ]
+    assert np.log2(told[0] / told[1]) == pytest.approx(2.0, abs=0.2)
+
+
+def test_a_signal_that_does_not_return_is_refused_by_name(fmu: Make) -> None:
+    with pytest.raises(RotorsimError) as caught:
+        periodic(with_fmu(fmu, "controller", interface="cs"), speeds=[150.0], signals=["clock.theta"])
+    assert str(caught.value) == (
+        "error: clock.theta: this signal does not return after one period: it has no harmonics"
+    )
+
+
+def test_a_motion_that_is_never_reached(fmu: Make) -> None:
+    """Without damping of the controller the machine is unstable: what is extrapolated is not what it comes to."""
+    found = periodic(with_fmu(fmu, "controller", interface="cs", KD=-5.0), speeds=[150.0])
+    plain = periodic(load("jeffcott", set={"controller.KD": -5.0}), speeds=[150.0])
+    assert plain.stable == (False,)
+    assert found.stable == (False,) or found.status[0].startswith("failed: ")
