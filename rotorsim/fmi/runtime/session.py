@@ -147,11 +147,11 @@ class Session:
                 raise
 
     def _exit_initialisation(self) -> None:
-        self.calls.call("ExitInitializationMode")
+        self.calls.exit_initialisation(self.steps.fed)
         self.steps.begin()
 
     def _reset(self) -> None:
-        self.calls.call("Reset")
+        self.calls.reset()
         self._begun, self._stepping, self.run, self.member = None, None, _not_yet, None
 
     def _in_c(self, library: str) -> None:
