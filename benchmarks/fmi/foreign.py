@@ -1,6 +1,6 @@
 """FMUs that other tools made, each run alone as `rotorsim cosim` does: what runs, and why the others do not.
 
-python -m benchmarks.fmi.foreign FOLDER [--references FOLDER] [--out docs/cosimulation.md]
+python -m benchmarks.fmi.foreign FOLDER [--references FOLDER]
 
 FOLDER is searched, also below; files that are alike are taken once. Each FMU is run for the experiment that it proposes
 (1 s where it proposes none) as Co-Simulation where it offers that, else as Model Exchange, without inputs.
@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.markers import expect, fill, refuse, table_text
+from benchmarks.markers import refuse, table_text
 from rotorsim.cosim.cosimulation import cosimulate_diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.block import block_class
@@ -40,6 +40,7 @@ from rotorsim.model.load import load
 STOP, STEPS = 1.0, 500  # s, where no experiment is proposed; communication steps, where there is no reference
 MOST_STEPS = 20_000  # of a reference or of the step that is proposed
 LONGEST = 110  # characters of a reason
+NO_LIBRARY = "holds no library for this platform"
 ENDED = "asks for the end of the simulation"
 CLOSE = 1e-9  # relative: the same instant
 
@@ -168,13 +169,11 @@ def deviation(reference: dict[str, np.ndarray], times: np.ndarray, values: dict[
 
 
 def main() -> None:
-    """Print the table, or put it between its markers in a document; exit 2 where there is nothing to try."""
+    """Print the table and how many run; exit 2 where there is nothing to try."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--references", type=Path, help="folder of NAME_out.csv or NAME_ref.csv")
-    parser.add_argument("--out", type=Path, help="document with <!-- foreign --> and <!-- end -->")
     given = parser.parse_args()
-    expect(given.out, "foreign")
     files = list(files_in(given.folder))
     if not files:
         refuse(f"{given.folder} holds no FMU (see --help)")
@@ -183,17 +182,14 @@ def main() -> None:
         tried[str(file.relative_to(given.folder))] = made = try_fmu(file, given.references)
         print(f"{file.name}: {made.result}", file=sys.stderr, flush=True)
     rows = [
-        [name, made.version, FMU_KINDS.get(made.kind, ""), made.result, made.deviation]
-        for name, made in tried.items()
+        [name, made.version, FMU_KINDS.get(made.kind, ""), made.result, made.deviation] for name, made in tried.items()
     ]
     every = Counter(made.version for made in tried.values())
     good = Counter(made.version for made in tried.values() if not made.reason)
     counted = [f"FMI {version}: {good[version]} of {every[version]}" for version in sorted(every.keys() - {"?"})]
-    told = f"{good.total()} of {every.total()} run; {', '.join(counted)}"
-    text = table_text(["file", "FMI", "kind", "result", "from its reference"], rows) + f"\n\n{told}"
-    print(text)
-    if given.out:
-        fill(given.out, "foreign", text)
+    without = sum(NO_LIBRARY in made.reason for made in tried.values())
+    print(table_text(["file", "FMI", "kind", "result", "from its reference"], rows))
+    print(f"\n{good.total()} of {every.total()} run ({without} hold no library for this machine); {', '.join(counted)}")
 
 
 if __name__ == "__main__":

@@ -98,8 +98,13 @@ class Calls(ABC):
             initialise, self.waiting = self.waiting, None
             initialise()
 
-    def exit_initialisation(self, fed: bool) -> None:
-        """Leave the initialisation; fed: it has inputs, which may have changed since values were read."""
+    @property
+    def is_settled(self) -> bool:
+        """Whether inputs that are set in the initialisation come too late for it."""
+        return False
+
+    def exit_initialisation(self) -> None:
+        """Leave the initialisation."""
         self.call("ExitInitializationMode")
 
     def reset(self) -> None:

@@ -1,8 +1,8 @@
 """FMI 1.0 by FMPy's runtime (`fmpy.fmi1`), behind the interface of the later versions, `Calls`.
 
 FMI 1.0 takes start values and inputs before its initialisation and gives outputs after it: it is initialised when a
-value is read first, or where FMI 2.0 leaves its initialisation mode. There are no modes of events, no saved states and
-no directional derivatives.
+value is read first, or where FMI 2.0 leaves its initialisation mode; there an instance that was read before is made
+anew with the inputs that were found. There are no modes of events, no saved states and no directional derivatives.
 """
 
 from __future__ import annotations
@@ -98,7 +98,11 @@ class Calls1(Calls):
         self.before_reading()
         return super().get(run)
 
-    def exit_initialisation(self, fed: bool) -> None:
+    @property
+    def is_settled(self) -> bool:
+        return self.waiting is None
+
+    def exit_initialisation(self) -> None:
         self.before_reading()
 
 
@@ -140,11 +144,6 @@ class ModelCalls1(Calls1):
         self._said: Any = None
         self.call("SetTime", start)
         self.waiting = lambda: self._tell("EnterInitializationMode", *optional(tolerance))
-
-    def exit_initialisation(self, fed: bool) -> None:
-        super().exit_initialisation(fed)
-        if fed:  # since its initialisation: an event decides anew
-            self._said = None
 
     def update_discrete_states(self) -> Any:
         if self._said is None:
