@@ -1,4 +1,7 @@
-"""FMUs of FMI 1.0: described, run as both kinds and in both places; against formulas and against FMPy as a client."""
+"""FMUs of FMI 1.0: described and run in both places, against formulas and against FMPy as a client.
+
+Their events: test_events.py; their equations: tests/fmi/test_equations.py.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,6 @@ from rotorsim.fmi.description.reader import read_description
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.slave import describe_fmu, open_fmu
 from rotorsim.fmi.validate import validate_fmu
-from rotorsim.linear.eigenmodes import modes
-from rotorsim.simulation.run import simulate
 from tests.cli.conftest import Run
 from tests.fmi.events import MODELS, alone, events_fmu
 from tests.fmi.lag import lag_description, lag_fmu, with_lag
@@ -290,27 +291,6 @@ def test_what_cannot_be_instantiated(tmp_path: Path, here: bool) -> None:
         "error: lag: does not offer Model Exchange; it offers Co-Simulation"
     )
     assert os.getcwd() == where
-
-
-# -- Model Exchange (its events: test_events.py) -----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("here", HERE)
-def test_its_equations_are_called(tmp_path: Path, here: bool) -> None:
-    """x'' = -x, without an event: cos t, and a mode of 1 / (2 pi) Hz by central differences."""
-    file = events_fmu(tmp_path, "1.0")
-    diagram = alone(file, "two", step=0.05, stop=1.0, low=-9.0, in_process=here)
-    found = simulate(diagram)
-    assert found["it.x"] == pytest.approx(np.cos(found.time), abs=0.05**4 / 120)
-    coupled = cosimulate_diagram(diagram, step=0.05)
-    assert coupled["it.x"] == pytest.approx(found["it.x"], abs=1e-14)
-    assert modes(diagram).modes[0].frequency_hz == pytest.approx(1 / (2 * np.pi), rel=1e-8)
-
-
-def test_an_event_ends_what_is_called(tmp_path: Path) -> None:
-    found = simulate(alone(events_fmu(tmp_path, "1.0"), "clock", step=0.05, stop=1.0))
-    assert found.status == "stopped"
-    assert found.message.startswith("events: has a time event at t = 0.25 s")
 
 
 # -- FMPy as a client --------------------------------------------------------------------------------------------------
