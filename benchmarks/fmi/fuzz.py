@@ -1,8 +1,8 @@
 """Damage FMUs at random and open them: no traceback, no hang, nothing written outside, nothing left behind.
 
 ``python -m benchmarks.fmi.fuzz [--count 2000] [--seed 1]`` damages model descriptions and archives of the plant FMUs of
-the tests (FMI 1.0, 2.0 and 3.0). Every case goes through ``rotorsim fmu info`` and ``validate``; what can be read is also
-unpacked, instantiated in its own process and stepped.
+the tests (FMI 1.0, 2.0 and 3.0). Every case goes through ``rotorsim fmu info`` and ``validate``; what can be read is
+also unpacked, instantiated in its own process and stepped.
 """
 
 from __future__ import annotations
