@@ -158,7 +158,7 @@ def deviation(reference: dict[str, np.ndarray], times: np.ndarray, values: dict[
     last = np.append(np.diff(wanted) > 0, True)  # of an instant that is there twice, what is behind its event
     use = close & last
     found = {}
-    for name in reference.keys() & values.keys():
+    for name in sorted(reference.keys() & values.keys()):
         own = reference[name][use]
         scale = float(np.abs(own).max(initial=0.0)) or 1.0
         found[name] = float(np.abs(values[name][nearest[use]] - own).max(initial=0.0)) / scale
