@@ -1,8 +1,8 @@
 """Damage FMUs at random and open them: no traceback, no hang, nothing written outside, nothing left behind.
 
 ``python -m benchmarks.fmi.fuzz [--count 2000] [--seed 1]`` damages model descriptions and archives of the plant FMUs of
-the tests (FMI 2.0 and 3.0). Every case goes through ``rotorsim fmu info`` and ``validate``; what can be read is also
-unpacked, instantiated in its own process and stepped.
+the tests (FMI 1.0, 2.0 and 3.0). Every case goes through ``rotorsim fmu info`` and ``validate``; what can be read is
+also unpacked, instantiated in its own process and stepped.
 """
 
 from __future__ import annotations
@@ -458,6 +458,7 @@ def _use(file: Path, wrong: list[str]) -> str:
 
 def main() -> int:
     """Try many; print what went wrong and how it was done."""
+    from tests.fmi.lag import lag_fmu
     from tests.fmi.plant import make_fmu
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -466,6 +467,7 @@ def main() -> int:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         whole = [make_fmu(Path(folder, f"{v}.fmu"), v).read_bytes() for v in ("2.0", "3.0")]
+        whole.append(lag_fmu(Path(folder)).read_bytes())
     outcomes: Counter[str] = Counter()
     failures = 0
     begun = time.monotonic()

@@ -80,6 +80,8 @@ class FmuOption:
 
     def of_fmu(self, value: Any) -> Any:
         """Return a value as the FMU has it."""
+        if self.variable.negated and isinstance(value, bool):
+            return not value
         return self.items.get(value, value) if isinstance(value, str) else value
 
 
@@ -112,6 +114,7 @@ def _port(description: ModelDescription, name: str, members: Sequence[tuple[tupl
     variable = entries[0].variable
     units = [description.unit_of(entry.variable) for entry in entries]
     scales = np.array([(unit.factor, unit.offset) if unit else (1.0, 0.0) for unit in units])
+    given = [_as_given(entry.variable, *scale) for entry, scale in zip(entries, scales.tolist(), strict=True)]
     shown = {unit.si if unit else None for unit in units}
     port = FmuPort(
         name,
@@ -120,13 +123,18 @@ def _port(description: ModelDescription, name: str, members: Sequence[tuple[tupl
         tuple(entry.name for entry in entries),
         None,
         variable.description,
-        scales,
+        np.array(given),
         variable.variability in ("discrete", "constant", "fixed"),
     )
     starts = [entry.start for entry in entries]
     if not all(isinstance(start, int | float) and math.isfinite(start) for start in starts):
         return port  # what is not finite cannot be given here: the FMU keeps it
-    return replace(port, start=port.to_si(np.array(starts, float)).reshape(shape))
+    return replace(port, start=(scales[:, 0] * np.array(starts, float) + scales[:, 1]).reshape(shape))
+
+
+def _as_given(variable: FmuVariable, factor: float, offset: float) -> tuple[float, float]:
+    """Return factor and offset to SI of what the functions of the FMU have: of a negated alias -v, or not v."""
+    return (-factor, offset + (variable.type == "Boolean")) if variable.negated else (factor, offset)
 
 
 def port_name(base: str, prefix: str) -> str:

@@ -50,7 +50,8 @@ def validate_fmu(path: str | Path, *, load: bool = False, fmpy: bool = True) -> 
     """
     with Archive(path) as archive:
         description = describe(archive, str(path))
-        problems = [*description.warnings, *_variables(description), *_structure(description)]
+        problems = [*description.warnings, *_variables(description)]
+        problems += _structure(description) if description.version != "1.0" else []  # which has none
         problems += _libraries(description, archive)
     if fmpy:
         problems += _ask_fmpy(Path(path), description)
@@ -94,7 +95,7 @@ def _broken_rules(v: FmuVariable, description: ModelDescription) -> list[Problem
         and v.start is not None
         and v.causality == "independent",
         f"min {low:g} is above max {high:g}": data and low > high,
-        f"its unit '{v.unit[:80]}' is not defined": v.unit and unit is None,
+        f"its unit '{v.unit[:80]}' is not defined": v.unit and unit is None and description.version != "1.0",
         f"its display unit '{v.display_unit[:80]}' is not defined": lost,
     }
     names = {

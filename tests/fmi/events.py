@@ -27,7 +27,7 @@ PARAMETERS = {
 
 def events_fmu(folder: Path, version: str = "2.0", *, saves: bool = True, reports: bool = True) -> Path:
     """Write the FMU. saves: its state can be saved; reports: it wants to be told of completed steps."""
-    text = (_description2 if version == "2.0" else _description3)(saves, reports)
+    text = {"1.0": _description1, "2.0": _description2, "3.0": _description3}[version](saves, reports)
     file = folder / f"events{version[0]}{'' if saves else 'n'}{'' if reports else 'q'}.fmu"
     return make_fmu(file, version, description=text, library_bytes=library(version, "events"))
 
@@ -45,6 +45,33 @@ def alone(
         "record": ["it.x", "it.count", "it.when"],
     }
     return load(document, folder=file.parent, trust_blocks=True)
+
+
+def _description1(_saves: bool, _reports: bool) -> str:
+    rows = [
+        (1, "x", 'causality="output"', '<Real start="1"/><DirectDependency/>'),
+        (2, "v", "", '<Real start="0"/>'),
+        (3, "der(x)", "", "<Real/>"),
+        (4, "der(v)", "", "<Real/>"),
+        (5, "u", 'causality="input"', '<Real start="0"/>'),
+        (6, "level", 'causality="input" variability="discrete"', '<Real start="0"/>'),
+        (7, "count", 'causality="output" variability="discrete"', "<Real/><DirectDependency/>"),
+        (8, "when", 'causality="output" variability="discrete"', "<Real/><DirectDependency/>"),
+        *(
+            (r, name, 'variability="parameter"', f'<Real start="{start!r}"/>')
+            for r, (name, start) in PARAMETERS.items()
+        ),
+        (20, "model", 'variability="parameter"', '<Integer start="0"/>'),
+    ]
+    variables = "".join(
+        f'<ScalarVariable name="{name}" valueReference="{r}" {how}>{inner}</ScalarVariable>'
+        for r, name, how, inner in rows
+    )
+    return (
+        '<fmiModelDescription fmiVersion="1.0" modelName="events" modelIdentifier="plant" guid="events" '
+        f'numberOfContinuousStates="2" numberOfEventIndicators="1"><ModelVariables>{variables}</ModelVariables>'
+        "</fmiModelDescription>"
+    )
 
 
 def _description2(saves: bool, reports: bool) -> str:

@@ -14,6 +14,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, lfilter
 
+from rotorsim.cosim.cosimulation import cosimulate_diagram
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.export.export import export_fmu
@@ -27,6 +28,7 @@ from rotorsim.recordings.loading import load_recording
 from rotorsim.settled.periodic import periodic
 from rotorsim.simulation.run import simulate
 from tests.fmi.conftest import Make
+from tests.fmi.events import alone, events_fmu
 from tests.fmi.plant import FAULTS, make_fmu
 
 BOTH = pytest.mark.parametrize("version", ["2.0", "3.0"])
@@ -283,3 +285,17 @@ def test_an_fmu_inside_an_fmu_is_refused(fmu: Make, tmp_path: Path) -> None:
         "error: rotor: is an FMU: one inside another is not exported\n\n"
         "hint: export the others by --block: what comes from it becomes an input"
     )
+
+
+@pytest.mark.parametrize("here", [True, False])
+def test_the_equations_of_fmi_1(tmp_path: Path, here: bool) -> None:
+    """x'' = -x: cos t, and a mode of 1 / (2 pi) Hz by central differences; ticks of a clock add up to a broken line."""
+    file = events_fmu(tmp_path, "1.0")
+    diagram = alone(file, "two", step=0.05, stop=1.0, low=-9.0, in_process=here)
+    found = simulate(diagram)
+    assert found["it.x"] == pytest.approx(np.cos(found.time), abs=0.05**4 / 120)
+    assert cosimulate_diagram(diagram, step=0.05)["it.x"] == pytest.approx(found["it.x"], abs=1e-14)
+    assert modes(diagram).modes[0].frequency_hz == pytest.approx(1 / (2 * np.pi), rel=1e-8)
+    found = simulate(alone(file, "clock", step=0.05, stop=1.0, tick=0.13, in_process=here))
+    n = np.floor(found.time / 0.13 + 1e-9)
+    assert found["it.x"] == pytest.approx(1 + n * found.time - 0.13 * n * (n + 1) / 2, rel=1e-12)

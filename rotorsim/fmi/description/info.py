@@ -104,6 +104,7 @@ def _not_supported(description: ModelDescription) -> list[str]:
     binary = [name for name, variable in description.variables.items() if variable.type == "Binary"]
     names = {"clocks": description.clocks, "binary variables": binary}
     found = ["Scheduled Execution"] if "se" in description.kinds else []
+    found += ["work that is left to a tool (CoSimulation_Tool)"] if description.is_tool_coupling else []
     return found + [f"{what}: {_some(which)}" for what, which in names.items() if which]
 
 

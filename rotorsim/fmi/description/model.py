@@ -1,4 +1,4 @@
-"""What an FMU says about itself: kinds, variables, units, structure; the same classes for FMI 2.0 and 3.0.
+"""What an FMU says about itself: kinds, variables, units, structure; the same classes for FMI 1.0, 2.0 and 3.0.
 
 Types have the names of FMI 3.0 (Real is Float64, Integer is Int32). Arrays are seen as their entries too:
 ``v[2,3]`` counts from 1, the last index runs fastest.
@@ -112,6 +112,7 @@ class FmuVariable:
     alias: bool = False
     clocked: bool = False
     relative: bool = False  # a difference: the offset of its unit does not count
+    negated: bool = False  # FMI 1.0: what the FMU gives and takes has the other sign
     place: Place = field(default_factory=Place)
 
     @property
@@ -162,7 +163,7 @@ class Kind:
     once_per_process: bool = False
     needs_tool: bool = False
     can_vary_step: bool = False  # cs
-    can_interpolate_inputs: bool = False  # cs, FMI 2.0: derivatives of inputs can be set
+    can_interpolate_inputs: bool = False  # cs, FMI 1.0 and 2.0: derivatives of inputs can be set
     max_output_derivative_order: int = 0  # cs
     fixed_step: float | None = None  # cs, FMI 3.0: its internal step [s]
     completed_step_needed: bool = True  # me
@@ -186,9 +187,10 @@ class ModelDescription:
     the model structure lists them. dependencies: output or derivative -> the variables it depends on directly
     (None: on all). platforms: folders with a library for the kind asked. items: names of the values of each type that
     enumerates. sizes: values of structural parameters that are not their start values; the arrays have their shapes.
+    unlisted: arrays that the FMU has and does not name: the states of FMI 1.0 and their derivatives.
     """
 
-    version: str  # "2.0" or "3.0"
+    version: str  # "1.0", "2.0" or "3.0"
     name: str
     token: str  # guid or instantiation token
     variables: Mapping[str, FmuVariable]
@@ -212,6 +214,12 @@ class ModelDescription:
     warnings: tuple[Problem, ...] = ()
     items: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     sizes: Mapping[str, int] = field(default_factory=dict)
+    unlisted: tuple[FmuVariable, ...] = ()
+
+    @property
+    def is_tool_coupling(self) -> bool:
+        """Whether a tool outside the FMU does its work (CoSimulation_Tool of FMI 1.0)."""
+        return self.version == "1.0" and any(kind.needs_tool for kind in self.kinds.values())
 
     def by_causality(self, *causalities: str) -> list[FmuVariable]:
         """Return the variables of these causalities, in the order of the file."""
@@ -226,7 +234,7 @@ class ModelDescription:
 
     @cached_property
     def _array_entries(self) -> dict[str, Entry]:
-        arrays = [variable for variable in self.variables.values() if variable.dimensions]
+        arrays = [variable for variable in (*self.variables.values(), *self.unlisted) if variable.dimensions]
         return {name: Entry(name, array, k) for array in arrays for k, name in enumerate(array.names())}
 
     def resolve(self, names: Iterable[str], what: str = "variable") -> list[Entry]:

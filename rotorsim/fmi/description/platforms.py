@@ -52,8 +52,8 @@ def this_platform() -> str:
 
 
 def library_folder(platform: str, version: str) -> str:
-    """Return the folder under binaries/ for a platform. FMI 2.0 has names for x86 only; others go by those of 3.0."""
-    return _OLD.get(platform, platform) if version == "2.0" else platform
+    """Return the folder under binaries/. Before FMI 3.0 there are names for x86 only; others go by those of 3.0."""
+    return platform if version == "3.0" else _OLD.get(platform, platform)
 
 
 def folders(version: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Reading modelDescription.xml of FMI 2.0 and 3.0: all mistakes at once, each with line and column."""
+"""Reading modelDescription.xml of FMI 1.0, 2.0 and 3.0: all mistakes at once, each with line and column."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.fmi.description.attributes import Mistakes
+from rotorsim.fmi.description.fmi1 import MAX_STATES, in_terms_of_2, unnamed_states
 from rotorsim.fmi.description.model import FMU_KINDS, Experiment, FmuUnit, Kind, ModelDescription
 from rotorsim.fmi.description.variables import VariableReader, reference_in
 from rotorsim.fmi.description.xml_reader import Element, XmlLimits, read_xml
@@ -33,7 +34,8 @@ def read_description(
     """
     root, mistakes, place = read_xml(data, file, skip=_SKIP, limits=limits), Mistakes(file), Place(file)
     version = _version(root, mistakes)
-    two = version == "2.0"
+    one, two = version == "1.0", version != "3.0"
+    root = in_terms_of_2(root, mistakes) if one else root
     head = mistakes.attributes(root)
     name = head.text("modelName", needed=True)
     token = head.text("guid" if two else "instantiationToken", needed=True)
@@ -47,6 +49,7 @@ def read_description(
     reader.read(groups["ModelVariables"])
     resized = reader.resized(place)
     structure: dict[str, Any] = _model_structure(groups["ModelStructure"], reader, mistakes)
+    structure |= unnamed_states(head.whole("numberOfContinuousStates", 0, most=MAX_STATES) if one else 0)
     log = root.first("LogCategories")
     experiment = _experiment(root, mistakes)
     mistakes.refuse(_SHOWN, place)
@@ -78,15 +81,15 @@ def _missing(root: Element, tag: str, mistakes: Mistakes) -> Element:
 
 
 def _version(root: Element, mistakes: Mistakes) -> str:
-    """Return "2.0" or "3.0". Raises RotorsimError for anything else."""
+    """Return "1.0", "2.0" or "3.0". Raises RotorsimError for anything else."""
     version, hint = root.get("fmiVersion"), ""
     if root.tag != "fmiModelDescription":
         what = f"the document is <{root.tag[:80]}>, not <fmiModelDescription>"
-    elif version == "2.0" or re.fullmatch(r"3\.0(\.\d+)?(-.*)?", version):
+    elif version in ("1.0", "2.0") or re.fullmatch(r"3\.0(\.\d+)?(-.*)?", version):
         return version[:3]
     else:
         what = f"FMI {version[:20]} is not supported" if version else "the attribute fmiVersion is missing"
-        hint = "FMI 2.0 and 3.0 are"
+        hint = "FMI 1.0, 2.0 and 3.0 are"
     raise RotorsimError(Problem(what, place=mistakes.place(root), hint=hint))
 
 

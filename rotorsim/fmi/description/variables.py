@@ -111,6 +111,7 @@ class VariableReader:
             declared_type=declared,
             clocked=bool(element.get("clocks")),
             relative=values.flag("relativeQuantity"),
+            negated=element.get("alias") == "negatedAlias",
             place=self.mistakes.place(element),
         )
 

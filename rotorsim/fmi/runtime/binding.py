@@ -43,11 +43,14 @@ TYPES: dict[str, dict[str, tuple[str, Any]]] = {
     },
 }
 
+TYPES["1.0"] = TYPES["2.0"] | {"Boolean": ("Boolean", c_bool)}
+
 # Arguments: c instance, p pointer, s text, n size_t, d double, i int, b boolean.
 _BOTH = {
     "ExitInitializationMode": "c",
     "Terminate": "c",
     "Reset": "c",
+    "FreeInstance": "c",
     "EnterEventMode": "c",
     "EnterContinuousTimeMode": "c",
     "SetTime": "cd",
@@ -156,12 +159,6 @@ class Library:
             function.restype = c_void_p if name.startswith("Instantiate") else c_int
             self._found[name] = function
         return function
-
-    def free(self, instance: int) -> None:
-        """Free an instance."""
-        function = self._handle[self.prefix + "FreeInstance"]
-        function.argtypes, function.restype = [c_void_p], None
-        function(instance)
 
 
 class _Callbacks2(ctypes.Structure):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from rotorsim.fmi.runtime.binding import STATUS, TYPES, CallError, Library, Log
 from rotorsim.fmi.runtime.memory import Block, Head
@@ -48,13 +48,27 @@ NUMBER = {name: k for k, name in enumerate(FUNCTIONS)}
 Call = tuple[int, Any, tuple[Any, ...]]  # number in FUNCTIONS, function, arguments
 
 
-class Calls(ABC):
-    """The library, the instance and the log of an FMU, and the ways to call it; what FMI 2.0 and 3.0 do differently.
+class Functions(Protocol):
+    """A library: ``functions["DoStep"]`` takes an instance and addresses, and returns a status.
 
-    names: a function as `FUNCTIONS` has it -> as the version calls it. boolean: its type of C.
+    prefix: of the names of functions and statuses.
     """
 
-    names: Mapping[str, str]
+    prefix: str
+
+    def __getitem__(self, name: str) -> Any:
+        """Return a function. Raises CallError where there is none."""
+
+
+class Calls(ABC):
+    """The library, the instance and the log of an FMU, and the ways to call it; what the versions do differently.
+
+    names: a function as `FUNCTIONS` has it -> as the version calls it. boolean: its type of C. version: 2.0 or 3.0,
+    whose arguments the functions have that are called from C. waiting: an initialisation that may not be left again.
+    """
+
+    names: Mapping[str, str] = {}
+    waiting: Callable[[], None] | None = None
     boolean: Any
 
     def __init__(self, block: Block, path: str, version: str, kind: str) -> None:
@@ -63,8 +77,12 @@ class Calls(ABC):
         self.types = TYPES[version]
         self.log = Log(version)
         self.head[Head.FUNCTION] = NUMBER["load"]
-        self.library = Library(path, version)
+        self.library = self.open(path, version)
         self.instance: int | None = None
+
+    def open(self, path: str, version: str) -> Functions:
+        """Load the library. Raises CallError."""
+        return Library(path, version)
 
     @abstractmethod
     def create(self, name: bytes, token: bytes, resources: bytes | None) -> int | None:
@@ -74,21 +92,47 @@ class Calls(ABC):
     def initialise(self, start: float, stop: float | None, tolerance: float | None, n_x: int, n_z: int) -> None:
         """Enter the initialisation; n_x, n_z: numbers of states and event indicators in the description."""
 
-    @abstractmethod
+    def before_reading(self) -> None:
+        """Do what waits until values are read."""
+        if self.waiting is not None:
+            initialise, self.waiting = self.waiting, None
+            initialise()
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether inputs that are set in the initialisation come too late for it."""
+        return False
+
+    def exit_initialisation(self) -> None:
+        """Leave the initialisation."""
+        self.call("ExitInitializationMode")
+
+    def reset(self) -> None:
+        """Go back to where the instance was when it was made."""
+        self.call("Reset")
+
     def sized(self, *arrays: tuple[int, int]) -> tuple[int, ...]:
         """Return the arguments that arrays make, (address, length) each: FMI 3.0 tells their lengths."""
+        return tuple(at for at, _ in arrays)
 
-    @abstractmethod
     def update_discrete_states(self) -> Any:
         """Return a structure with ``needed``, ``terminate``, ``nominals``, ``states``, ``defined`` and ``time``."""
+        raise CallError("refused", "NewDiscreteStates", "is of Model Exchange")
 
-    @abstractmethod
+    def completed_step(self, unbound: int) -> tuple[bool, bool]:
+        """Tell of a completed step; return whether the FMU wants an event, and the end."""
+        wants = (self.boolean * 2)()
+        second = address(wants) + ctypes.sizeof(wants) // 2
+        self.call("CompletedIntegratorStep", unbound, address(wants), second)
+        return bool(wants[0]), bool(wants[1])
+
     def step_results(self, flags: int) -> tuple[int, ...]:
         """Return further arguments of DoStep: where three flags and the time reached are to be put."""
+        return ()
 
-    @abstractmethod
     def reached(self) -> float | None:
         """Return how far a step came that was refused; note whether the FMU asks for the end."""
+        return None
 
     def function(self, name: str) -> Any:
         """Return a function of the library."""
@@ -108,7 +152,7 @@ class Calls(ABC):
         if self.instance:
             instance, self.instance = self.instance, None
             self.head[Head.FUNCTION] = NUMBER["FreeInstance"]
-            self.library.free(instance)
+            self.function("FreeInstance")(instance)
             self.head[Head.FUNCTION] = 0
 
     def call(self, shown: str, *arguments: Any, name: str = "") -> None:
@@ -189,6 +233,11 @@ def references(numbers: Sequence[int]) -> Any:
 def address(data: Any) -> int:
     """Return where an object of C lies."""
     return ctypes.addressof(data)
+
+
+def optional(value: float | None) -> tuple[int, float]:
+    """Return whether a value is given, and it."""
+    return (0, 0.0) if value is None else (1, value)
 
 
 def whole(number: int, ctype: Any) -> int:

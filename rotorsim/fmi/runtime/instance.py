@@ -17,6 +17,7 @@ from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.memory import Head, Said
 from rotorsim.fmi.runtime.process import Worker
 from rotorsim.fmi.runtime.runs import make_run, make_runs
+from rotorsim.fmi.runtime.versions import function_name
 
 Log = Callable[[str, str, str], None]  # status, category, message
 
@@ -312,7 +313,7 @@ class Instance:
         log = [tuple(map(str, line)) for line in more.get("log", ()) if len(line) == 3]
         self._tell(log)
         known = failure.function in FUNCTIONS[2:]
-        function = f"fmi{self.description.version[0]}{failure.function}" if known else ""
+        function = function_name(self.description.version, self.kind, failure.function) if known else ""
         accessed = {"Set": self.input_names, "Get": self.output_names}.get(failure.function, ())
         concerned = list(about or accessed) if failure.function in ("Set", "Get") else []
         shown = " of " + ", ".join([*concerned[:5], *(["..."] if len(concerned) > 5 else [])]) if concerned else ""

@@ -14,7 +14,7 @@ from typing import Any
 
 from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.fmi.runtime.calls import Calls, address, references
-from rotorsim.fmi.runtime.memory import Block, Head
+from rotorsim.fmi.runtime.memory import Block, Head, Op
 from rotorsim.fmi.runtime.steps import CoSimulationSteps, Member, ModelExchangeSteps, Steps
 from rotorsim.fmi.runtime.versions import make_calls
 
@@ -32,7 +32,7 @@ class Session:
         self.member: Member | None = None  # of loop.c, which does plain steps then
         self.commands: dict[str, Callable[..., dict[str, Any] | None]] = {
             "instantiate": self._instantiate,
-            "begin": self._begin,
+            "begin": self._begin_with,
             "exit_initialisation": self._exit_initialisation,
             "terminate": lambda: self.calls.call("Terminate"),
             "reset": self._reset,
@@ -40,7 +40,7 @@ class Session:
             "free": self._free,
             "log": lambda: {"log": self.calls.log.taken(), "counts": dict(self.calls.log.counts)},
             "get": lambda run: {"values": self.calls.get(run)},
-            "set": lambda run, numbers: (self._begun or self.calls).set(run, numbers),
+            "set": self._set,
             "directional": self._directional,
             "output_derivatives": self._output_derivatives,
             "save": self._save,
@@ -112,6 +112,10 @@ class Session:
             wanted = (ctypes.c_char_p * len(categories))(*(text.encode() for text in categories))
             calls.call("-", 1, len(categories), address(wanted), name="SetDebugLogging")
 
+    def _begin_with(self, **given: Any) -> None:
+        self._given = given
+        self._begin(**given)
+
     def _begin(
         self,
         start: float,
@@ -147,11 +151,15 @@ class Session:
                 raise
 
     def _exit_initialisation(self) -> None:
-        self.calls.call("ExitInitializationMode")
+        if self.calls.is_settled and self.steps.fed:
+            self._reset()
+            self._begin(**self._given)
+            self.steps.run(Op.U)  # as they were last
+        self.calls.exit_initialisation()
         self.steps.begin()
 
     def _reset(self) -> None:
-        self.calls.call("Reset")
+        self.calls.reset()
         self._begun, self._stepping, self.run, self.member = None, None, _not_yet, None
 
     def _in_c(self, library: str) -> None:
@@ -170,6 +178,11 @@ class Session:
             self.calls.free()
         self.run, self.member = _not_yet, None
         return {"log": self.calls.log.taken()}
+
+    def _set(self, run: Mapping[str, Any], numbers: Sequence[Any]) -> None:
+        if self._begun is not None and self._begun.initialising:
+            self._given["values"] = [*self._given["values"], (run, numbers)]
+        (self._begun or self.calls).set(run, numbers)
 
     # -- values --------------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""FMUs of FMI 2.0 and 3.0 as Python objects: one interface for both, in this process or in one of their own.
+"""FMUs of FMI 1.0, 2.0 and 3.0 as Python objects: one interface for all, in this process or in one of their own.
 
 with open_fmu("controller.fmu") as fmu:
     slave = fmu.instantiate("cs")
@@ -131,6 +131,7 @@ class Fmu(AbstractContextManager["Fmu"]):
         driven = f": it is driven by clocks ({clocks})" if clocks else ""
         reasons = {
             f"Scheduled Execution is not supported{driven}": kind == "se",
+            "leaves its work to a tool (CoSimulation_Tool), which is not supported": description.is_tool_coupling,
             f"has clocks as inputs, which are not supported: {shown}": ticking,
             "allows one instance in a process, and there is one already": own & _ONCE,
         }

@@ -92,9 +92,20 @@ class Steps(ABC):
     def run(self, op: int) -> None:
         """Do what the bits of ``op`` say, on the numbers in the block. Raises CallError."""
 
+    @property
+    def fed(self) -> bool:
+        """Whether it has inputs."""
+        return bool(self._held or self._discrete)
+
     def begin(self) -> None:
         """Start, after the initialisation."""
         self.initialising = False
+
+    def read_outputs(self) -> None:
+        """Get the outputs."""
+        if self.initialising:
+            self.calls.before_reading()
+        self.calls.many(self._outputs)
 
     def set(self, run: Mapping[str, Any], numbers: Sequence[Any]) -> None:
         """Set variables between steps."""
@@ -167,7 +178,7 @@ class CoSimulationSteps(Steps):
         if op & Op.STEP:
             self._advance()
         if op & Op.Y:
-            self.calls.many(self._outputs)
+            self.read_outputs()
         self.head[Head.FUNCTION] = 0
 
     def _advance(self) -> None:
@@ -190,7 +201,7 @@ class CoSimulationSteps(Steps):
     def _refused(self, status: int) -> None:
         """Raise why a step was not done; of a step that was refused, how far it came."""
         if status == 5:
-            what = "runs on after it has returned (fmi2Pending), which is not supported"
+            what = f"runs on after it has returned ({self.calls.library.prefix}Pending), which is not supported"
             raise CallError("error", "DoStep", what, log=self.calls.log.taken())
         if status != 2:
             self.calls.fail("DoStep", status)
@@ -260,7 +271,7 @@ class ModelExchangeSteps(Steps):
         if op & Op.XDOT:
             many(self._xdot)
         if op & Op.Y:
-            many(self._outputs)
+            self.read_outputs()
         if op & Op.Z:
             many(self._z)
         if op & Op.COMPLETED:
@@ -282,10 +293,8 @@ class ModelExchangeSteps(Steps):
         return self._settle()
 
     def _complete(self) -> None:
-        wants = (self.calls.boolean * 2)()  # an event update, the end
-        second = address(wants) + ctypes.sizeof(wants) // 2
-        self.calls.call("CompletedIntegratorStep", self.unbound, address(wants), second)
-        self.head[Head.SAID] = (Said.EVENT if wants[0] else 0) | (Said.TERMINATE if wants[1] else 0)
+        event, end = self.calls.completed_step(self.unbound)
+        self.head[Head.SAID] = (Said.EVENT if event else 0) | (Said.TERMINATE if end else 0)
 
     def _event(self, op: int) -> None:
         self.calls.call("EnterEventMode")

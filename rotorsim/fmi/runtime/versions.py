@@ -1,4 +1,4 @@
-"""What FMI 2.0 and FMI 3.0 do differently, as one interface: `Calls`."""
+"""What the versions of FMI do differently, as one interface: `Calls`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import ctypes
 from typing import Any
 
 from rotorsim.fmi.runtime.binding import CallError
-from rotorsim.fmi.runtime.calls import Calls, address
+from rotorsim.fmi.runtime.calls import Calls, address, optional
+from rotorsim.fmi.runtime.fmi1 import ModelCalls1, SlaveCalls1
 from rotorsim.fmi.runtime.memory import Block, Head, Said
 
 _FLAGS = ("needed", "terminate", "nominals", "states", "defined")
@@ -16,7 +17,19 @@ _STATE_VERBS = ("Get", "Set", "Free", "Serialize")
 
 def make_calls(block: Block, path: str, version: str, kind: str) -> Calls:
     """Return the calls of an FMU of a version, as "cs" or "me"; its library is loaded. Raises CallError."""
-    return {"2.0": Calls2, "3.0": Calls3}[version](block, path, version, kind)
+    return _calls_of(version, kind)(block, path, version, kind)
+
+
+def function_name(version: str, kind: str, function: str) -> str:
+    """Return what a version calls a function of `FUNCTIONS`."""
+    prefix = "fmi" if version == "1.0" else f"fmi{version[0]}"
+    return prefix + (_calls_of(version, kind).names.get(function) or function)
+
+
+def _calls_of(version: str, kind: str) -> type[Calls]:
+    if version == "1.0":
+        return SlaveCalls1 if kind == "cs" else ModelCalls1
+    return Calls2 if version == "2.0" else Calls3
 
 
 class Calls2(Calls):
@@ -42,19 +55,13 @@ class Calls2(Calls):
         return instance
 
     def initialise(self, start: float, stop: float | None, tolerance: float | None, n_x: int, n_z: int) -> None:
-        self.call("SetupExperiment", *_optional(tolerance), start, *_optional(stop))
+        self.call("SetupExperiment", *optional(tolerance), start, *optional(stop))
         self.call("EnterInitializationMode")
-
-    def sized(self, *arrays: tuple[int, int]) -> tuple[int, ...]:
-        return tuple(at for at, _ in arrays)
 
     def update_discrete_states(self) -> Any:
         info = self._Info()
         self.call("NewDiscreteStates", address(info))
         return info
-
-    def step_results(self, flags: int) -> tuple[int, ...]:
-        return ()
 
     def reached(self) -> float | None:
         time, ended, last = ctypes.c_double(), ctypes.c_int(), None
@@ -90,7 +97,7 @@ class Calls3(Calls):
         return instance
 
     def initialise(self, start: float, stop: float | None, tolerance: float | None, n_x: int, n_z: int) -> None:
-        self.call("EnterInitializationMode", *_optional(tolerance), start, *_optional(stop))
+        self.call("EnterInitializationMode", *optional(tolerance), start, *optional(stop))
         counts = {"GetNumberOfContinuousStates": n_x, "GetNumberOfEventIndicators": n_z}
         for name, described in counts.items() if self.kind == "me" else ():
             count = ctypes.c_size_t()
@@ -112,8 +119,3 @@ class Calls3(Calls):
     def reached(self) -> float | None:
         last: float = self.block.numbers[Block.LAST]
         return last
-
-
-def _optional(value: float | None) -> tuple[int, float]:
-    """Return whether a value is given, and it."""
-    return (0, 0.0) if value is None else (1, value)

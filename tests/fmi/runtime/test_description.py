@@ -128,8 +128,8 @@ def test_a_model_identifier_is_never_a_path(identifier: str) -> None:
             "x.xml:1:1: error: the encoding is said to be UTF-16, but its first bytes are not",
         ),
         (
-            '<fmiModelDescription fmiVersion="1.0"/>',
-            "x.xml:1:1: error: FMI 1.0 is not supported\n\nhint: FMI 2.0 and 3.0 are",
+            '<fmiModelDescription fmiVersion="4.0"/>',
+            "x.xml:1:1: error: FMI 4.0 is not supported\n\nhint: FMI 1.0, 2.0 and 3.0 are",
         ),
     ],
 )

@@ -23,7 +23,7 @@ G, E = 9.81, 0.8
 ENDLESS = "\n\nhint: events accumulate: a contact that comes to rest, or a relay without hysteresis, inside the FMU"
 
 
-@pytest.fixture(params=["2.0", "3.0"])
+@pytest.fixture(params=["1.0", "2.0", "3.0"])
 def fmu(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return events_fmu(tmp_path, request.param)
 
