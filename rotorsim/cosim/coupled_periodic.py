@@ -20,7 +20,7 @@ from rotorsim.settled.periodic import Channels
 from rotorsim.settled.result import Periodic
 
 FIRST_TURNS, MOST_TURNS = 24, 1536  # periods that are run: doubled until what is extrapolated stays
-SETTLED = 1e-5  # of the largest harmonic of a channel: what may change from extrapolating earlier
+STAYS = 1e-5  # of the largest harmonic of a channel: what may change from extrapolating earlier
 KEPT = 1e-6  # of the largest harmonic of a channel: orders above all such are left out
 DRIFTS = 1e-6  # of the change from period to period: how constant it is where a signal drifts
 
@@ -121,8 +121,8 @@ def _settle(
         vectors = (Y / scale).reshape(turns, -1)
         limit, earlier = _limit(vectors[turns // 2 :]), _limit(vectors[turns // 4 : 3 * turns // 4])
         change = float(np.abs(limit - earlier).max(initial=0.0))
-        if change <= SETTLED or 2 * turns > MOST_TURNS:
-            said = "settled" if change <= SETTLED else f"failed: not settled after {turns} periods"
+        if change <= STAYS or 2 * turns > MOST_TURNS:
+            said = "settled" if change <= STAYS else f"failed: not settled after {turns} periods"
             scale[~np.isfinite(scale)] = 0.0
             values = limit.reshape(H + 1, count) * scale
             lost = np.repeat(names, [int(np.prod(model.shape_of(name), dtype=int)) for name in names])[drifting]
@@ -156,7 +156,7 @@ def _comes_to(vectors: np.ndarray, limit: np.ndarray) -> bool:
     """Return whether a sequence comes closer to its limit: that of one that grows is a motion that is never reached."""
     distance = np.abs(vectors - limit).max(axis=1, initial=0.0)
     half = len(distance) // 2
-    return bool(distance[half:].max() <= max(distance[:half].max(), SETTLED))
+    return bool(distance[half:].max() <= max(distance[:half].max(), STAYS))
 
 
 def _columns(model: Model, names: Sequence[str], channels: Channels) -> list[int]:

@@ -68,6 +68,7 @@ class SwitchingInstance(EventSteps):
         self._ahead = AT_ONCE[0]
         self._held: Any = None  # the instance before the step that is taken
         self._row = np.empty((1, inner.n_y))
+        self._point: float | None = None  # time at which the parts were asked last, with the present states
 
     @property
     def x(self) -> np.ndarray:
@@ -211,6 +212,7 @@ class SwitchingInstance(EventSteps):
             mode.guard(on)
 
     def _after(self, t: float, h: float) -> np.ndarray:
+        self._point = None
         self.inner.restore(self._held)
         if h > 0:
             self.inner.run(0, 1, t, h, 1, self._row)
@@ -223,6 +225,7 @@ class SwitchingInstance(EventSteps):
     def _indicators(self, t: float, x: np.ndarray) -> np.ndarray:
         self.inner.derivative(t, x)
         raise_failure()
+        self._point = t
         return np.concatenate([np.zeros(0), *(mode.indicators() for mode in self.modes)])
 
     def _present(self, t: float) -> np.ndarray:
@@ -231,7 +234,8 @@ class SwitchingInstance(EventSteps):
     def _completed(self, t: float) -> bool:
         if not self.stepwise:
             return False
-        self._present(t)
+        if self._point != t:
+            self._present(t)
         wants = [one.mode.completed(t, self.inner.x[one.part]) for one in self.parts if one.mode.reports]
         return any(wants)  # all are told
 

@@ -65,6 +65,7 @@ def description2(*, once: bool = False, identifier: str = "plant") -> str:
         (22, "level", 'causality="input" variability="discrete"', "Integer", 'start="0"'),
         (30, "enabled", 'causality="input" variability="discrete"', "Boolean", 'start="true"'),
         (40, "label", 'causality="parameter" variability="fixed"', "String", 'start="none"'),
+        (13, "fault_above", 'causality="parameter" variability="fixed"', "Real", 'start="0"'),
     ]
     variables = "\n".join(
         f'<ScalarVariable name="{name}" valueReference="{r}" {how}><{kind} {more}/></ScalarVariable>'
@@ -125,6 +126,7 @@ def description3(*, once: bool = False, identifier: str = "plant") -> str:
         ("Boolean", 30, "enabled", 'causality="input" start="true"', ""),
         ("String", 40, "label", 'causality="parameter" variability="fixed"', '<Start value="none"/>'),
         ("Float64", 50, "z", 'causality="local"', two),
+        ("Float64", 13, "fault_above", 'causality="parameter" variability="fixed" start="0"', ""),
     ]
     variables = "\n".join(
         f'<{kind} name="{name}" valueReference="{r}" {how}>{inner}</{kind}>' for kind, r, name, how, inner in rows

@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.signal import butter, lfilter
 
 from rotorsim.cosim.cosimulation import cosimulate_diagram
 from rotorsim.diagram.diagram import Diagram
@@ -20,11 +19,9 @@ from rotorsim.errors import RotorsimError
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.fmi.functions import functions_of
 from rotorsim.fmi.runtime.slave import Slave
-from rotorsim.identification.identification import identify
 from rotorsim.linear.eigenmodes import modes
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
-from rotorsim.recordings.loading import load_recording
 from rotorsim.settled.periodic import periodic
 from rotorsim.simulation.run import simulate
 from tests.fmi.conftest import Make
@@ -250,32 +247,6 @@ def test_the_command_says_what_failed_and_where_the_rest_is(plants: Path, run: A
         "is kept\n\nhint: what was computed until then is in it.csv\n"
     )
     assert len(np.loadtxt("it.csv", delimiter=",", skiprows=1)) == 100
-
-
-def test_parameters_of_an_fmu_are_identified(plants: Path, tmp_path: Path) -> None:
-    """The motion of another spring and damper, integrated here: x'' = u - 130 x - 0.9 x'."""
-    chance = np.random.default_rng(1)
-    t = np.arange(600) * 0.01
-    u = lfilter(*butter(2, 0.1), 300.0 * chance.standard_normal(len(t)))
-
-    def slope(s: float, x: np.ndarray) -> list[float]:
-        return [x[1], float(np.interp(s, t, u)) - 130.0 * x[0] - 0.9 * x[1]]
-
-    x = solve_ivp(slope, (0, t[-1]), [1.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-10, max_step=0.01).y[0]
-    y = x + 0.005 * x.std() * chance.standard_normal(len(t))
-    np.savetxt(tmp_path / "run.csv", np.column_stack([u, y]), delimiter=",", header="u,y", comments="")
-    signals = {"u": {"signal": "force.output", "unit": "N"}, "y": {"signal": "it.y", "unit": "m"}}
-    runs = [{"id": "run", "file": "run.csv", "sample_rate": "100 Hz"}]
-    document = {"name": "run", "source": "integrated in this test", "channels": signals, "runs": runs}
-    (tmp_path / "recording.json").write_text(json.dumps(document))
-    force = {"type": "recorded", "parameters": {"interpolation": "linear"}}
-    diagram = of_plant(plants, blocks={"force": force}, wires=[["force.output", "it.u"]])
-    free = {**diagram.document, "identify": {"it.stiffness": {}, "it.damping": {}}}
-    found = identify(load(free, folder=plants, trust_blocks=True), load_recording(tmp_path))
-    for name, true in (("it.stiffness", 130.0), ("it.damping", 0.9)):
-        item = found.parameters[name]
-        assert abs(item.value - true) < 4 * item.std
-        assert item.std < 0.005 * true
 
 
 def test_an_fmu_inside_an_fmu_is_refused(fmu: Make, tmp_path: Path) -> None:

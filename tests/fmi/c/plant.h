@@ -1,6 +1,7 @@
 /* A spring, a mass and a damper in each of N directions, with a wall and a clock: what the FMUs for tests do.
    x' = v, v' = u - stiffness x - damping v, y = x + gain u, per direction; x > wall: v := -v; count: ticks of `tick`.
-   fault: what goes wrong in a step (or an evaluation) that begins at fault_time or later. */
+   fault: what goes wrong in a step (or an evaluation) that begins at fault_time or later, with a stiffness of fault_above
+   or more. */
 #include <math.h>
 #include <signal.h>
 #include <stdint.h>
@@ -13,7 +14,7 @@ enum { OK, SEGV, HANG, FAIL, NOT_A_NUMBER, DISCARD, HUNGRY, LEAVE, ABORT, PRINT,
        BELOW };
 
 typedef struct {
-    double t, x[N], v[N], u[N], stiffness, damping, gain, wall, tick, fault_time, next;
+    double t, x[N], v[N], u[N], stiffness, damping, gain, wall, tick, fault_time, fault_above, next;
     int fault, count, enabled, initialised;
     char label[64];
     void *logger, *environment;
@@ -25,7 +26,7 @@ static void begin(Plant *p) {
     memset(p->v, 0, sizeof p->v);
     memset(p->u, 0, sizeof p->u);
     p->x[0] = 1.0;
-    p->stiffness = 100.0, p->damping = 0.5, p->gain = 0.0, p->wall = 1e9, p->tick = 0.0, p->fault_time = 0.0;
+    p->stiffness = 100.0, p->damping = 0.5, p->gain = 0.0, p->wall = 1e9, p->tick = 0.0, p->fault_time = 0.0, p->fault_above = 0.0;
     p->t = 0.0, p->next = INFINITY, p->fault = OK, p->count = 0, p->enabled = 1, p->initialised = 0;
     strcpy(p->label, "none");
 }
@@ -58,7 +59,7 @@ static void advance(Plant *p, double h) {
 /* Do what is wrong; return the status: 0 fine, 2 discard, 3 error, 4 fatal, -1: none that there is. */
 static int misbehave(Plant *p, double t) {
     static char *volatile nowhere = 0;
-    if (p->fault == OK || t < p->fault_time - 1e-12) return 0;
+    if (p->fault == OK || t < p->fault_time - 1e-12 || p->stiffness < p->fault_above) return 0;
     switch (p->fault) {
         case SEGV: *nowhere = 1; break;
         case HANG: for (;;) sleep(1);

@@ -23,6 +23,7 @@ static double *number(Plant *p, unsigned r, size_t *size) {
         case 10: return &p->wall;
         case 11: return &p->tick;
         case 12: return &p->fault_time;
+        case 13: return &p->fault_above;
     }
     return 0;
 }

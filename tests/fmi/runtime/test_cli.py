@@ -24,7 +24,7 @@ def test_info(run: Run, tmp_path: Path) -> None:
     assert "experiment  start 0 s, stop 2 s, step 0.01 s" in lines
     assert "inputs (2):" in lines
     assert "  u        Float64[2]  N     0 0" in lines
-    assert "parameters (8):" in lines
+    assert "parameters (9):" in lines
     assert "and 7 local variables (--all shows them)" in lines
     assert "local variables (7):" in run("fmu", "info", "--all", "plant.fmu").stdout
     text = description3().replace("<CoSimulation ", '<CoSimulation fixedInternalStepSize="0.002" ')

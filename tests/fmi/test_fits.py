@@ -1,0 +1,80 @@
+"""Fits of diagrams with an FMU: parameters inside it, and what happens where it fails in the middle."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import butter, lfilter
+
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import RotorsimError
+from rotorsim.identification.identification import identify
+from rotorsim.model.load import load
+from rotorsim.recordings.loading import load_recording
+from tests.fmi.plant import FAULTS, make_fmu
+from tests.fmi.test_equations import of_plant
+
+STIFFNESS, DAMPING = 130.0, 0.9
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write the FMU, and a recording of another spring and damper, integrated here: x'' = u - 130 x - 0.9 x'."""
+    folder = tmp_path_factory.mktemp("fits")
+    make_fmu(folder / "plant2.fmu")
+    chance = np.random.default_rng(1)
+    t = np.arange(600) * 0.01
+    u = lfilter(*butter(2, 0.1), 300.0 * chance.standard_normal(len(t)))
+
+    def slope(s: float, x: np.ndarray) -> list[float]:
+        return [x[1], float(np.interp(s, t, u)) - STIFFNESS * x[0] - DAMPING * x[1]]
+
+    x = solve_ivp(slope, (0, t[-1]), [1.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-10, max_step=0.01).y[0]
+    y = x + 0.005 * x.std() * chance.standard_normal(len(t))
+    np.savetxt(folder / "run.csv", np.column_stack([u, y]), delimiter=",", header="u,y", comments="")
+    signals = {"u": {"signal": "force.output", "unit": "N"}, "y": {"signal": "it.y", "unit": "m"}}
+    runs = [{"id": "run", "file": "run.csv", "sample_rate": "100 Hz"}]
+    document = {"name": "run", "source": "integrated in this test", "channels": signals, "runs": runs}
+    (folder / "recording.json").write_text(json.dumps(document))
+    return folder
+
+
+def driven(folder: Path, **values: Any) -> Diagram:
+    """Return the FMU under a recorded force, with its stiffness and damping free."""
+    force = {"type": "recorded", "parameters": {"interpolation": "linear"}}
+    diagram = of_plant(folder, blocks={"force": force}, wires=[["force.output", "it.u"]], **values)
+    free = {**diagram.document, "identify": {"it.stiffness": {}, "it.damping": {}}}
+    return load(free, folder=folder, trust_blocks=True)
+
+
+def found_right(found: Any) -> bool:
+    return all(
+        abs(found.parameters[name].value - true) < 4 * found.parameters[name].std < 0.02 * true
+        for name, true in (("it.stiffness", STIFFNESS), ("it.damping", DAMPING))
+    )
+
+
+def test_parameters_of_an_fmu_are_identified(folder: Path) -> None:
+    assert found_right(identify(driven(folder), load_recording(folder)))
+
+
+@pytest.mark.parametrize("fault", ["fail", "nan", "segv", "discard", "leave", "print"])
+def test_a_trial_in_which_it_fails_is_no_end_of_the_fit(folder: Path, fault: str) -> None:
+    """From 60 N/m the first step of the search goes beyond 135 N/m, where the FMU fails: a shorter one is tried."""
+    apart = fault in ("segv", "leave", "print")
+    values = {"fault": FAULTS.index(fault), "fault_time": 0.5, "fault_above": 135.0, "stiffness": 60.0}
+    before = len(psutil.Process().children(recursive=True))
+    assert found_right(identify(driven(folder, in_process=not apart, **values), load_recording(folder)))
+    assert len(psutil.Process().children(recursive=True)) <= before + 24
+
+
+def test_a_fit_that_cannot_begin_says_what_failed(folder: Path) -> None:
+    with pytest.raises(RotorsimError) as caught:
+        identify(driven(folder, fault=FAULTS.index("fail"), fault_time=0.5), load_recording(folder))
+    assert "it: fmi2GetDerivatives returned fmi2Error" in str(caught.value)
