@@ -1,4 +1,7 @@
-"""The equations of an FMU in this process, called from compiled code without Python between them (equations.c)."""
+"""The equations of an FMU, called from compiled code without Python between them (equations.c).
+
+In this process, or in one of its own: the two processes then hand the block of numbers to and fro by themselves.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,12 @@ from typing import Any
 import numpy as np
 
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
-from rotorsim.fmi.runtime.calls import references
-from rotorsim.fmi.runtime.process import LocalWorker
+from rotorsim.fmi.runtime.calls import Calls, references
+from rotorsim.fmi.runtime.channel import ordered
+from rotorsim.fmi.runtime.process import LocalWorker, RemoteWorker
 from rotorsim.fmi.runtime.runs import make_runs
 from rotorsim.fmi.runtime.slave import Slave
+from rotorsim.fmi.runtime.steps import DEFINES
 from rotorsim.model.called import CALLED
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 
@@ -24,7 +29,7 @@ _INT, _POINTER = ctypes.c_int64, ctypes.c_void_p
 
 
 class _Instance(ctypes.Structure):
-    _fields_ = [("instance", _POINTER), ("sides", _POINTER), ("due", ctypes.c_double)]
+    _fields_ = [*((n, _POINTER) for n in ("instance", "sides")), ("due", ctypes.c_double), ("remote", _POINTER)]
 
 
 class _Pair(ctypes.Structure):
@@ -60,21 +65,25 @@ def _library() -> ctypes.CDLL | None:
     compiler = find_compiler()
     if compiler is None:
         return None
-    source = files("rotorsim.fmi").joinpath("equations.c").read_text(encoding="utf-8")
+    source = DEFINES + files("rotorsim.fmi").joinpath("equations.c").read_text(encoding="utf-8")
     try:
         return compile_c(source, compiler, "-O3")[0]
     except CompilerError:
         return None
 
 
-class InProcess:
+class InC:
     """What equations.c knows of an FMU: its functions, its last instances, and pairs of instances beside it.
 
-    u, y, p_size: names of inputs and outputs, number of parameters; scales (n, 2).
+    u, y: names of inputs and outputs; picked: where each of these lies among all outputs of the instances;
+    p_size: number of parameters.
     """
 
-    def __init__(self, description: ModelDescription, u: Sequence[str], y: Sequence[str], p_size: int) -> None:
+    def __init__(
+        self, description: ModelDescription, u: Sequence[str], y: Sequence[str], picked: Sequence[int], p_size: int
+    ) -> None:
         self.description, self.u, self.y = description, list(u), list(y)
+        self._picked = np.array(picked, np.int64)
         self.made = _Fmu()
         self._keep: list[Any] = []
         self._n_p = p_size
@@ -90,10 +99,12 @@ class InProcess:
         self.guarded = True
 
     @staticmethod
-    def why_not(description: ModelDescription, u: Sequence[str], y: Sequence[str]) -> str:
-        """Return why an FMU in this process cannot be called from C, or nothing."""
+    def why_not(description: ModelDescription, u: Sequence[str], y: Sequence[str], in_process: bool) -> str:
+        """Return why an FMU cannot be called from C, or nothing."""
         if _library() is None:
             return "no C compiler"
+        if not in_process:
+            return "" if ordered() else "has a process of its own, and this machine cannot look at it"
         every = [*make_runs(description.resolve(u), "input"), *make_runs(description.resolve(y), "output")]
         if any(run["type"] != FLOATS[0] or run["index"] is not None for run in every):
             return "has inputs or outputs that are not Float64, or entries of an array"
@@ -119,12 +130,28 @@ class InProcess:
         scales: of inputs and outputs, (n, 2); nominals (n_x,); relative: step of central differences; seen
         (n_u + n_z,): gets inputs and event indicators where x' was asked for last.
         """
-        calls = slave.worker.session.calls  # type: ignore[attr-defined]
         description, made = self.description, self.made
-        made.version = int(calls.version[0])
         n_x, n_u, n_y, n_p = len(description.states), len(self.u), len(self.y), self._n_p
         made.n_x, made.n_u, made.n_y, made.n_z, made.n_p = n_x, n_u, n_y, description.n_events, n_p
         made.exact, made.timed, made.n_pairs = int(exact), int(timed), self._most
+        if isinstance(slave.worker, LocalWorker):
+            self._take_functions(slave.worker.session.calls, exact=exact)
+        n, m = n_x + n_y, n_x + n_u
+        # raw inputs, two times [x'; y], a point; zeros; a direction, rows, a direction in p
+        work = np.zeros(n_u + 2 * n + m + (n_p + m + 1) + m + n + n_p)
+        held = [np.array(array, float) for array in (*scales, nominals)]
+        self._keep += [work, seen, *held]
+        made.u_scales, made.y_scales, made.nominals = (array.ctypes.data for array in held)
+        made.relative = relative
+        made.seen, made.guarded = seen.ctypes.data, int(self.guarded)
+        made.work, made.pairs = work.ctypes.data, ctypes.addressof(self._pairs)
+        made.ready, made.n_ready = ctypes.addressof(self._ready), READY
+        self._bound = True
+
+    def _take_functions(self, calls: Calls, *, exact: bool) -> None:
+        """Take the functions of a library that is loaded."""
+        description, made = self.description, self.made
+        made.version = int(calls.version[0])
         names = (self.u, self.y, [*description.derivatives, *self.y], [*description.states, *self.u])
         for k, own in enumerate(names):
             numbers = [ref for run in make_runs(description.resolve(own), "") for ref in run["refs"]] if own else []
@@ -142,17 +169,6 @@ class InProcess:
         wanted |= {"directional": "GetDirectionalDerivative"} if exact else {}
         for field, name in wanted.items():
             setattr(made, field, ctypes.cast(calls.function(name), _POINTER).value)
-        n, m = n_x + n_y, n_x + n_u
-        # raw inputs, two times [x'; y], a point; zeros; a direction, rows, a direction in p
-        work = np.zeros(n_u + 2 * n + m + (n_p + m + 1) + m + n + n_p)
-        held = [np.array(array, float) for array in (*scales, nominals)]
-        self._keep += [work, seen, *held]
-        made.u_scales, made.y_scales, made.nominals = (array.ctypes.data for array in held)
-        made.relative = relative
-        made.seen, made.guarded = seen.ctypes.data, int(self.guarded)
-        made.work, made.pairs = work.ctypes.data, ctypes.addressof(self._pairs)
-        made.ready, made.n_ready = ctypes.addressof(self._ready), READY
-        self._bound = True
 
     def guard(self, on: bool) -> None:
         """Say whether an event ends the equations."""
@@ -197,9 +213,19 @@ class InProcess:
 
     def _instance(self, slave: Slave, sides: np.ndarray, due: float) -> _Instance:
         worker = slave.worker
-        assert isinstance(worker, LocalWorker)
         own = self._sides.setdefault(id(slave), np.array(sides, float))
-        return _Instance(worker.session.calls.instance, own.ctypes.data, due)
+        if isinstance(worker, LocalWorker):
+            return _Instance(worker.session.calls.instance, own.ctypes.data, due)
+        assert isinstance(worker, RemoteWorker)
+        worker.asked.picked = self._picked.ctypes.data
+        return _Instance(None, own.ctypes.data, due, ctypes.addressof(worker.asked))
+
+    @staticmethod
+    def serve(slave: Slave) -> None:
+        """Let an instance in a process of its own answer by C, too."""
+        library = _library()
+        if library is not None and isinstance(slave.worker, RemoteWorker):
+            slave.worker.serve_in_c(str(library._name))
 
     def function(
         self, rows: Sequence[int], groups: Sequence[bool], slow: Callable[[Any, Any, Any], None], what: str

@@ -1,6 +1,7 @@
-/* The equations of an FMU for Model Exchange in this process, as functions that compiled code calls: its last
-   instances are asked at once, and whoever made these structures (compiled.py) for all that is unusual: other parameters,
-   events, failures. A function says so by leaving to `slow`, which answers in its place. */
+/* The equations of an FMU for Model Exchange, in this process or in its own, as functions that compiled code calls: its
+   last instances are asked at once, and whoever made these structures (compiled.py) for all that is unusual: other
+   parameters, events, failures. A function says so by leaving to `slow`, which answers in its place. Places in the block
+   that is shared with a process, and bits of what is asked, are defined by steps.py. */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -9,14 +10,26 @@
 #if defined _WIN32
 #define RS_EXPORT __declspec(dllexport)
 #else
+#include <sched.h>
+#include <unistd.h>
 #define RS_EXPORT __attribute__((visibility("default")))
 #endif
 
-/* An instance with its parameters: sides (n_z) of its event indicators, the time of its next event. */
+/* What is known of a process of its own: head of the block, count of the last request, looks at the other side before
+   waiting otherwise, bell: the descriptor that wakes it; where vectors lie in the block; picked: where each output does
+   among all. */
+typedef struct {
+    int64_t *head, count, looks, bell, u, y, x, xdot, z;
+    const int64_t *picked;
+} rs_remote;
+
+/* An instance with its parameters: sides (n_z) of its event indicators, the time of its next event. remote: null where it
+   is in this process. */
 typedef struct {
     void *instance;
     const double *sides;
     double due;
+    rs_remote *remote;
 } rs_instance;
 
 /* What is known of a direction in p: instances on both sides of p, over a step each way. */
@@ -87,17 +100,58 @@ static int set_point(const rs_fmu *f, const rs_instance *i, double t, const doub
     return worst;
 }
 
+/* Whether all indicators are on the sides of the mode, or nobody asks for that. */
+static int in_mode(const rs_fmu *f, const rs_instance *i) {
+    const double *z = f->seen + f->n_u;
+    for (int64_t k = 0; k < f->n_z && f->guarded; k++)
+        if ((z[k] > 0.0) != (i->sides[k] > 0.0)) return 0;
+    return 1;
+}
+
+/* What `evaluated` does, by a process of its own. A request without an answer is left to who asks next. */
+static int asked(const rs_fmu *f, const rs_instance *i, double t, const double *x, const double *u, int rates,
+                 int outputs, double *out) {
+#if !defined _WIN32
+    rs_remote *r = i->remote;
+    double *numbers = (double *)r->head;
+    if (__atomic_load_n(r->head + RS_REPLY, __ATOMIC_ACQUIRE) != r->count || r->head[RS_STATUS]) return 0;
+    numbers[RS_T] = t;
+    memcpy(numbers + r->x, x, (size_t)f->n_x * sizeof *x);
+    for (int64_t k = 0; k < f->n_u; k++) numbers[r->u + k] = (u[k] - f->u_scales[2 * k + 1]) / f->u_scales[2 * k];
+    r->head[RS_OP] = RS_OP_TIME | (f->n_x ? RS_OP_X : 0) | (f->n_u ? RS_OP_U : 0) | (rates && f->n_x ? RS_OP_XDOT : 0) |
+                     (rates && f->n_z ? RS_OP_Z : 0) | (outputs && f->n_y ? RS_OP_Y : 0);
+    __atomic_store_n(r->head + RS_REQUEST, ++r->count, __ATOMIC_SEQ_CST);
+    __atomic_thread_fence(__ATOMIC_SEQ_CST);
+    if (__atomic_load_n(r->head + RS_FMU_SLEEPS, __ATOMIC_SEQ_CST) && write((int)r->bell, "\0\0\0", 4) != 4) return 0;
+    int64_t k = 0;
+    while (__atomic_load_n(r->head + RS_REPLY, __ATOMIC_ACQUIRE) != r->count) {
+        if (k++ >= r->looks) return 0;
+        sched_yield(); /* see channel.py */
+    }
+    if (r->head[RS_STATUS]) return 0;
+    if (rates) {
+        memcpy(out, numbers + r->xdot, (size_t)f->n_x * sizeof *out);
+        memcpy(f->seen, numbers + r->u, (size_t)f->n_u * sizeof *out);
+        memcpy(f->seen + f->n_u, numbers + r->z, (size_t)f->n_z * sizeof *out);
+        if (!in_mode(f, i)) return 0;
+    }
+    for (k = 0; k < f->n_y && outputs; k++)
+        out[f->n_x + k] = f->y_scales[2 * k] * numbers[r->y + r->picked[k]] + f->y_scales[2 * k + 1];
+    return 1;
+#else
+    return 0;
+#endif
+}
+
 /* Put [x'; y] at a point into out, as far as it is wanted; return whether all is well and no event is due. */
 static int evaluated(const rs_fmu *f, const rs_instance *i, double t, const double *x, const double *u, int rates,
                      int outputs, double *out) {
-    if ((f->guarded && t >= i->due) || set_point(f, i, t, x, u) > 1) return 0;
+    if (f->guarded && t >= i->due) return 0;
+    if (i->remote) return asked(f, i, t, x, u, rates, outputs, out);
+    if (set_point(f, i, t, x, u) > 1) return 0;
     if (rates && f->n_x && ((get_)f->get_xdot)(i->instance, out, (size_t)f->n_x) > 1) return 0;
-    if (rates && f->n_z) {
-        double *z = f->seen + f->n_u;
-        if (((get_)f->get_z)(i->instance, z, (size_t)f->n_z) > 1) return 0;
-        for (int64_t k = 0; k < f->n_z && f->guarded; k++)
-            if ((z[k] > 0.0) != (i->sides[k] > 0.0)) return 0;
-    }
+    if (rates && f->n_z && (((get_)f->get_z)(i->instance, f->seen + f->n_u, (size_t)f->n_z) > 1 || !in_mode(f, i)))
+        return 0;
     if (rates && f->n_u) memcpy(f->seen, f->work, (size_t)f->n_u * sizeof(double));
     if (outputs && f->n_y) {
         double *y = out + f->n_x;
@@ -172,7 +226,7 @@ static int along_states(const rs_fmu *f, const double *const *part, double *dire
     double room = INFINITY, *other = out + n;
     const rs_instance *i = ready(f, part[3]);
     if (!i || (f->guarded && *part[0] >= i->due)) return 0;
-    if (f->exact) {
+    if (f->exact && !i->remote) {
         if (set_point(f, i, *part[0], part[1], part[2]) > 1) return 0;
         for (int64_t k = 0; k < f->n_u; k++) direction[f->n_x + k] /= f->u_scales[2 * k];
         const size_t c2 = (size_t)f->counts[2], c3 = (size_t)f->counts[3];
@@ -282,4 +336,59 @@ RS_EXPORT void rs_fmu_reverse(void *context, const double *arguments, double *re
             *to++ = sum;
         }
     if (!sound) self->slow(context, arguments, results);
+}
+
+/* A call in the process of an FMU: op: the bit that asks for it; number: of the function, as it is told to whoever finds
+   the process dead; references: null for a vector of states, their rates or event indicators, and for the time. */
+typedef struct {
+    int64_t op, number;
+    void *function;
+    const uint32_t *references;
+    size_t n_references;
+    void *values;
+    size_t n;
+} rs_asked;
+
+typedef struct {
+    int64_t version, n_calls;
+    void *instance;
+    const rs_asked *calls;
+    int64_t *head, count, looks, bell;
+} rs_server;
+
+/* In the process of an FMU: do what `asked` asks, until nothing came in so many looks, something else is asked, or a call
+   fails, which is done once more by those who can say why. count: the last request that was taken up. */
+RS_EXPORT int64_t rs_serve_equations(rs_server *s) {
+#if !defined _WIN32
+    const int64_t all = RS_OP_TIME | RS_OP_X | RS_OP_U | RS_OP_XDOT | RS_OP_Y | RS_OP_Z;
+    double *numbers = (double *)s->head;
+    for (;;) {
+        int64_t k = 0, request;
+        while ((request = __atomic_load_n(s->head + RS_REQUEST, __ATOMIC_ACQUIRE)) == s->count) {
+            if (k++ >= s->looks) return 0;
+            sched_yield();
+        }
+        const int64_t op = s->head[RS_OP];
+        if (op <= 0 || op & ~all) return 0;
+        for (k = 0; k < s->n_calls; k++) {
+            const rs_asked *c = s->calls + k;
+            if (!(op & c->op)) continue;
+            s->head[RS_FUNCTION] = c->number;
+            int status = c->op == RS_OP_TIME ? ((time_)c->function)(s->instance, numbers[RS_T])
+                         : !c->references    ? ((get_)c->function)(s->instance, c->values, c->n)
+                         : s->version == 2   ? ((real2)c->function)(s->instance, c->references, c->n_references, c->values)
+                                             : ((real3)c->function)(s->instance, c->references, c->n_references,
+                                                                    c->values, c->n);
+            if (status & ~1) return 0;
+            s->head[RS_WARNED] += status;
+        }
+        s->head[RS_FUNCTION] = 0;
+        s->count = request;
+        __atomic_store_n(s->head + RS_REPLY, request, __ATOMIC_SEQ_CST);
+        __atomic_thread_fence(__ATOMIC_SEQ_CST);
+        if (__atomic_load_n(s->head + RS_USER_SLEEPS, __ATOMIC_SEQ_CST) && write((int)s->bell, "\0\0\0", 4) != 4)
+            return 0; /* the pipe is closed, as whoever waits at it will find */
+    }
+#endif
+    return 0;
 }

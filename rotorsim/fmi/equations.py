@@ -15,7 +15,6 @@ changes its side or a time event is due, there are none, and that is an error, b
 from __future__ import annotations
 
 import warnings
-import weakref
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -24,9 +23,10 @@ from typing import Any
 import numpy as np
 
 from rotorsim.errors import RotorsimError
-from rotorsim.fmi.compiled import InProcess
+from rotorsim.fmi.compiled import InC
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
-from rotorsim.fmi.runtime.slave import Fmu, Slave, open_fmu
+from rotorsim.fmi.instances import Instances, Values
+from rotorsim.fmi.runtime.slave import Slave
 
 MOST_INSTANCES = 24  # that one file keeps open, those used last; in process enough for a difference by every parameter
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
@@ -51,21 +51,18 @@ class FmuEquations:
 
         name: of the block, by which failures are told.
         """
-        self.name = name
-        self.path, self.description, self.in_process, self.texts = path, description, in_process, dict(texts)
-        self.outputs, self.inputs, self.parameters = tuple(outputs), tuple(inputs), tuple(parameters)
+        self.name, self.description = name, description
+        self._u, self._p, y = Values(inputs), Values(parameters), Values(outputs)
+        self._instances = Instances(name, path, description, in_process, texts, self._u, self._p, y.names)
         self.n_x = len(description.states)
-        self.u_scales, self.y_scales, self.p_scales = map(_scales, (self.inputs, self.outputs, self.parameters))
-        self.n_u, self.n_y, self.n_p = len(self.u_scales), len(self.y_scales), len(self.p_scales)
-        self.u_names, self.y_names, self.p_names = (
-            [name for port in ports for name in port.entries] for ports in (self.inputs, self.outputs, self.parameters)
-        )
-        self._u_starts, self._p_starts = (
-            np.concatenate([np.zeros(0), *map(_start_of, ports)]) for ports in (self.inputs, self.parameters)
-        )
-        self._most = max(MOST_INSTANCES, 2 * self.n_p + 2 if in_process else 0)
-        self._fmu: Fmu | None = None
+        self.u_names, self.y_names = self._u.names, y.names
+        self.u_scales, self.y_scales = self._u.scales, y.scales
+        self.n_u, self.n_y, self.n_p = len(self._u), len(y), len(self._p)
+        self._most = 2 * self.n_p + 2  # one, and two for the difference by each parameter, and one that comes
+        self._most = max(self._most, MOST_INSTANCES) if in_process else min(self._most, MOST_INSTANCES)
         self._slaves: OrderedDict[bytes, Slave] = OrderedDict()
+        self._begun: dict[int, np.ndarray] = {}  # the states with which they began
+        self._starter: Slave | None = None  # begins with other inputs
         self._modes: dict[int, tuple[np.ndarray, float]] = {}  # sides of event indicators, next time event
         self._guarded = True
         self.seen = np.zeros(self.n_u + description.n_events)  # raw inputs, indicators, where x' was asked for last
@@ -76,8 +73,8 @@ class FmuEquations:
         shown = [k for k, entry in enumerate(entries) if entry.variable.type == FLOATS[0]]
         self._smooth = shown  # the others, whole numbers, are constant in a mode
         own = self.u_names, [self.y_names[k] for k in shown]
-        can = in_process and not InProcess.why_not(description, *own)
-        self.native = InProcess(description, *own, self.n_p) if can else None
+        can = not InC.why_not(description, *own, in_process)
+        self.native = InC(description, *own, shown, self.n_p) if can else None
         self.native_row = {k: k for k in range(self.n_x)} | {self.n_x + k: self.n_x + i for i, k in enumerate(shown)}
         structure = description.dependencies
         free = {name for name, v in description.variables.items() if v.causality == "independent"}
@@ -88,16 +85,17 @@ class FmuEquations:
 
     def start(self, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return the states (n_x,) with which the FMU begins."""
-        slave = self._initialised(u, p)
-        try:
-            return slave.states()
-        finally:
-            slave.free()
+        if self._u.are_starts(u):
+            with self._instance(p) as slave:
+                return self._begun[id(slave)].copy()
+        starter, self._starter = self._starter, None
+        self._starter = self._instances.new(u, p) if starter is None else self._instances.again(starter, u, p)
+        return self._starter.states()
 
     def rates(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return x' (n_x,)."""
         with self._instance(p) as slave:
-            slope = slave.derivatives(t, x, self._of_fmu(u))
+            slope = slave.derivatives(t, x, self._u.of_fmu(u))
             self._look(slave, t, u)
             return slope
 
@@ -105,13 +103,13 @@ class FmuEquations:
         """Return y (n_y,), SI."""
         with self._instance(p) as slave:
             self._refuse_time_event(slave, t)
-            y = slave.outputs(t, x, self._of_fmu(u))
+            y = slave.outputs(t, x, self._u.of_fmu(u))
         return np.asarray(self.y_scales[:, 0] * y + self.y_scales[:, 1])
 
     def both(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return x' and y, (n_x + n_y,)."""
         with self._instance(p) as slave:
-            slope, y = slave.evaluate(t, x, self._of_fmu(u))
+            slope, y = slave.evaluate(t, x, self._u.of_fmu(u))
             self._look(slave, t, u)
         return np.concatenate([slope, self.y_scales[:, 0] * y + self.y_scales[:, 1]])
 
@@ -140,7 +138,7 @@ class FmuEquations:
         if self._exact:
             unknowns = [*self.description.derivatives, *(self.y_names[k] for k in self._smooth)]
             with self._instance(p) as slave:
-                slave.evaluate(t, x, self._of_fmu(u))
+                slave.evaluate(t, x, self._u.of_fmu(u))
                 found = slave.jacobian(unknowns, [*self.description.states, *self.u_names])
             J = np.zeros((n_x + self.n_y, n_x + n_u))
             J[[*range(n_x), *(n_x + k for k in self._smooth)]] = found
@@ -157,7 +155,7 @@ class FmuEquations:
         checked, self._checked = self._checked, True
         if checked or not self._exact:
             return
-        u = np.nan_to_num(self._u_starts)
+        u = np.nan_to_num(self._u.starts)
         told = np.full((self.n_x + self.n_y, self.n_x + self.n_u), np.nan)
         with suppress(RotorsimError):
             told = self._by_states_and_inputs(0.0, x, u, p)
@@ -219,15 +217,16 @@ class FmuEquations:
         key = p.tobytes()
         slave = self._slaves.get(key)
         if slave is None:
-            while len(self._slaves) >= self._most:
-                self._free(self._slaves.popitem(last=False)[1])
-            slave = self._initialised(self._u_starts, p)
+            slave = self._made(p)
             try:
                 sides = slave.event_indicators(0.0, None) > 0 if self.description.n_events else np.zeros(0, bool)
+                if self.native is not None:
+                    self.native.serve(slave)
             except BaseException:
                 slave.free()
                 raise
             self._slaves[key], self._modes[id(slave)] = slave, (sides, slave.last_event().next_time)
+            self._begun[id(slave)] = slave.states()
             self._check_derivatives(slave.states(), p)
         elif len(self._slaves) > 1:
             self._slaves.move_to_end(key)
@@ -238,16 +237,28 @@ class FmuEquations:
                 self._free(self._slaves.pop(key))
             raise
 
-    def _free(self, slave: Slave) -> None:
+    def _made(self, p: np.ndarray) -> Slave:
+        """Return another instance, in the place of the one that was used longest ago where there are enough."""
+        if len(self._slaves) < self._most:
+            return self._instances.new(self._u.starts, p)
+        spare = self._slaves.popitem(last=False)[1]
+        self._forget(spare)
+        return self._instances.again(spare, self._u.starts, p)
+
+    def _forget(self, slave: Slave) -> None:
         self._modes.pop(id(slave), None)
+        self._begun.pop(id(slave), None)
         if self.native is not None:
             self.native.forget(slave)
+
+    def _free(self, slave: Slave) -> None:
+        self._forget(slave)
         slave.free()
 
     def _look(self, slave: Slave, t: float, u: np.ndarray) -> None:
         """Note inputs and event indicators of the present point; raise FmuError where the mode would change there."""
         self._refuse_time_event(slave, t)
-        self.seen[: self.n_u] = self._of_fmu(u)
+        self.seen[: self.n_u] = self._u.of_fmu(u)
         sides = self._modes[id(slave)][0]
         if not sides.size:
             return
@@ -292,24 +303,6 @@ class FmuEquations:
         if slave is not None:
             self._free(slave)
 
-    def _initialised(self, u: np.ndarray, p: np.ndarray) -> Slave:
-        """Return a new instance with parameters p, initialised with inputs u."""
-        if self._fmu is None:
-            self._fmu = open_fmu(self.path, in_process=self.in_process, sizes=self.description.sizes)
-            weakref.finalize(self, self._fmu.close).atexit = False  # its processes see to that themselves
-        slave = self._fmu.instantiate("me", self.name)
-        given = _changed(self.p_names, p, self._p_starts, self.p_scales)
-        given |= _changed(self.u_names, u, self._u_starts, self.u_scales)
-        try:
-            slave.setup(0.0, None, None, parameters=given | self.texts, inputs=self.u_names, outputs=self.y_names)
-        except BaseException:
-            slave.free()
-            raise
-        return slave
-
-    def _of_fmu(self, u: np.ndarray) -> np.ndarray:
-        return np.asarray((u - self.u_scales[:, 1]) / self.u_scales[:, 0])
-
     def _has_directional(self) -> bool:
         description = self.description
         if not description.kinds["me"].directional_derivatives:
@@ -318,22 +311,3 @@ class FmuEquations:
         moving = [entry.variable for entry in outputs if entry.variable.type in FLOATS]
         shown = all(v.type == FLOATS[0] and v.causality == "output" for v in moving)  # of others FMI has none
         return shown and all(entry.variable.type == FLOATS[0] for entry in inputs)
-
-
-def _scales(ports: Sequence[Any]) -> np.ndarray:
-    """Return factors and offsets (n, 2) of all entries of ports."""
-    return np.concatenate([np.zeros((0, 2)), *(port.scales for port in ports)])
-
-
-def _changed(names: Sequence[str], si: np.ndarray, starts: np.ndarray, scales: np.ndarray) -> dict[str, Any]:
-    """Return the values, in the units of the FMU, that are not the start values of variables."""
-    rows = zip(names, si.tolist(), ((si - scales[:, 1]) / scales[:, 0]).tolist(), starts.tolist(), strict=True)
-    return {
-        name: raw
-        for name, value, raw, start in rows
-        if value != start and not (np.isnan(start) and (np.isnan(value) or value == 0.0))
-    }
-
-
-def _start_of(port: Any) -> np.ndarray:
-    return np.full(len(port.entries), np.nan) if port.start is None else np.ravel(port.start)

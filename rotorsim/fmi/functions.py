@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rotorsim.fmi.compiled import InProcess
+from rotorsim.fmi.compiled import InC
 from rotorsim.fmi.equations import RELATIVE_STEP, FmuEquations
 from rotorsim.model.called import CALLED_AT, has_failed, note_failure, register
 
@@ -73,7 +73,7 @@ class _Function(ca.Callback):
             note_failure(error)
         return [np.full(shape, np.nan) for shape in self.results]
 
-    def call_from_c(self, native: InProcess, rows: Sequence[int], groups: Sequence[bool], what: str) -> None:
+    def call_from_c(self, native: InC, rows: Sequence[int], groups: Sequence[bool], what: str) -> None:
         """Let C answer for this function, whose results are columns, and this function where C cannot."""
         n_in, n_out = sum(self.arguments), sum(rows for rows, _ in self.results)
 

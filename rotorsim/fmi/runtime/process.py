@@ -6,6 +6,7 @@ This protects against faults, not against malice: a library of another's making 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import json
 import mmap
 import os
@@ -34,6 +35,16 @@ from rotorsim.fmi.runtime.steps import PROCESS, Member, State
 START = 60.0  # s for Python itself to start on a busy machine
 GRACE = 2.0  # s to leave, before it is killed
 _CODE = "import sys; sys.path.append(sys.argv[1]); from rotorsim.fmi.runtime.host import main; main()"
+
+
+class Asked(ctypes.Structure):
+    """What equations.c knows of a process of its own: ``rs_remote``. count: of the last request, whoever made it."""
+
+    _fields_ = [
+        ("head", ctypes.c_void_p),
+        *((name, ctypes.c_int64) for name in ("count", "looks", "bell", "u", "y", "x", "xdot", "z")),
+        ("picked", ctypes.c_void_p),
+    ]
 
 
 class Worker(ABC):
@@ -134,7 +145,7 @@ class RemoteWorker(Worker):
         descriptor = _shared(size)
         self.block = Block(mmap.mmap(descriptor, size), sizes)
         self.head = self.block.head
-        self.count, self.commanded = 0, False
+        self.commanded = False
         in_order = ordered()
         self.head[Head.FMU_SLEEPS] = self.head[Head.USER_SLEEPS] = int(not in_order)
         end, self._lifeline = os.pipe()
@@ -169,10 +180,22 @@ class RemoteWorker(Worker):
             os.close(descriptor)
         assert self.process.stderr
         self.pipe = _Watched(self.process, in_order)
+        block, looks, bell = self.block, self.pipe.looks, self.pipe.sink
+        first = block.u, block.y, block.x, block.xdot, block.z
+        self.asked = Asked(block.at(0), 0, looks, bell, *first)
         self.printed = Printed(self.process.stderr)
         self._finalizer = weakref.finalize(self, _end, self.process, self._lifeline)
         self.limit = START  # of the first command
         self.dead: CallError | None = None
+
+    @property
+    def count(self) -> int:
+        """The number of the last request."""
+        return int(self.asked.count)
+
+    @count.setter
+    def count(self, number: int) -> None:
+        self.asked.count = number
 
     def _expect(self) -> None:
         """Make sure that it can be asked: drop the reply that nobody waited for. Raises CallError if it has ended."""
@@ -231,9 +254,13 @@ class RemoteWorker(Worker):
     def why_not_in_c(self) -> str:
         return "" if self.pipe.ordered else "has a process of its own, and this machine cannot look at it"
 
-    def in_c(self, library: str) -> Member:
+    def serve_in_c(self, library: str) -> None:
+        """Let the process do plain steps by a library of C at a path."""
         if os.path.exists(library):  # a cache that cannot be written to keeps none
             self.command("in_c", library=library)
+
+    def in_c(self, library: str) -> Member:
+        self.serve_in_c(library)
         return Member(kind=PROCESS, head=self.block.at(0), looks=self.pipe.looks, bell=self.pipe.sink)
 
     def enter_c(self, member: Member) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.fmi.runtime.calls import Calls, address, references
 from rotorsim.fmi.runtime.memory import Block, Head, Op
-from rotorsim.fmi.runtime.steps import CoSimulationSteps, Member, ModelExchangeSteps, Steps
+from rotorsim.fmi.runtime.steps import CoSimulationSteps, Member, ModelExchangeSteps, Server, Steps
 from rotorsim.fmi.runtime.versions import make_calls
 
 
@@ -29,7 +29,7 @@ class Session:
         self._stepping: CoSimulationSteps | None = None
         self.saved: dict[int, Any] = {}
         self.run: Callable[[int], None] = _not_yet
-        self.member: Member | None = None  # of loop.c, which does plain steps then
+        self.member: Member | Server | None = None  # of loop.c or equations.c, which do plain steps then
         self.commands: dict[str, Callable[..., dict[str, Any] | None]] = {
             "instantiate": self._instantiate,
             "begin": self._begin_with,
@@ -78,7 +78,9 @@ class Session:
         """
         if self.member is None:
             return 0, seen
-        self.member.unbound, self.member.count = self.steps.unbound, seen
+        if isinstance(self.member, Member):
+            self.member.unbound = self.steps.unbound
+        self.member.count = seen
         self.member.looks, self.member.bell = looks, bell
         return int(self._serve(ctypes.byref(self.member))), int(self.member.count)
 
@@ -163,9 +165,9 @@ class Session:
         self._begun, self._stepping, self.run, self.member = None, None, _not_yet, None
 
     def _in_c(self, library: str) -> None:
-        steps = self.stepping
+        steps = self.steps
         with contextlib.suppress(OSError):  # what cannot be loaded is done here
-            self._serve = ctypes.CDLL(library)["rs_serve"]
+            self._serve = ctypes.CDLL(library)[steps.served_by]
             self._serve.restype = ctypes.c_int64
             self.member = steps.in_c() if steps.all_float else None
 

@@ -32,16 +32,16 @@ _DEFINED = {
     "T": Block.T,
     "H": Block.H,
     "LAST": Block.LAST,
-    "OP_U": Op.U,
-    "OP_STEP": Op.STEP,
-    "OP_Y": Op.Y,
+    **{f"OP_{name}": getattr(Op, name) for name in ("TIME", "X", "U", "STEP", "XDOT", "Y", "Z")},
     "TERMINATE": Said.TERMINATE,
     "DO_STEP": NUMBER["DoStep"],
     "PART": PART,
     "PROCESS": PROCESS,
     **{name: n for of in (Head, Failed, State) for name, n in vars(of).items() if name.isupper()},
 }
-DEFINES = "".join(f"#define RS_{name} {number}\n" for name, number in _DEFINED.items())  # that loop.c begins with
+DEFINES = "".join(
+    f"#define RS_{name} {number}\n" for name, number in _DEFINED.items()
+)  # that loop.c and equations.c begin with
 
 
 class _Call(ctypes.Structure):
@@ -70,12 +70,34 @@ class Member(ctypes.Structure):
     ]
 
 
+class _Asked(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_int64) for name in ("op", "number")),
+        *((name, ctypes.c_void_p) for name in ("function", "references")),
+        ("n_references", ctypes.c_size_t),
+        ("values", ctypes.c_void_p),
+        ("n", ctypes.c_size_t),
+    ]
+
+
+class Server(ctypes.Structure):
+    """Evaluations as equations.c does them in the process of an FMU: ``rs_server``."""
+
+    _fields_ = [
+        *((name, ctypes.c_int64) for name in ("version", "n_calls")),
+        *((name, ctypes.c_void_p) for name in ("instance", "calls", "head")),
+        *((name, ctypes.c_int64) for name in ("count", "looks", "bell")),
+    ]
+
+
 class Steps(ABC):
     """What happens at every step of an instance with chosen inputs and outputs.
 
     initialising: the FMU is in its initialisation mode. unbound: no state before this point will be set again, which
-    the FMU is told.
+    the FMU is told. served_by: the function of C that does these steps where all inputs and outputs are Float64.
     """
+
+    served_by: str
 
     def __init__(self, calls: Calls, inputs: Sequence[Any], outputs: Sequence[Any], *, events: bool = False) -> None:
         self.calls, self.block = calls, calls.block
@@ -96,6 +118,15 @@ class Steps(ABC):
     def fed(self) -> bool:
         """Whether it has inputs."""
         return bool(self._held or self._discrete)
+
+    @abstractmethod
+    def in_c(self) -> Member | Server:
+        """Return the steps for `served_by`, where inputs and outputs are all Float64."""
+
+    @property
+    def all_float(self) -> bool:
+        """Whether inputs and outputs are all Float64."""
+        return all(number for number, _, _ in (*self._held, *self._outputs))
 
     def begin(self) -> None:
         """Start, after the initialisation."""
@@ -152,6 +183,8 @@ class Steps(ABC):
 
 class CoSimulationSteps(Steps):
     """Steps of Co-Simulation: set inputs, step, get outputs."""
+
+    served_by = "rs_serve"
 
     def __init__(self, calls: Calls, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
         super().__init__(calls, inputs, outputs)
@@ -211,13 +244,7 @@ class CoSimulationSteps(Steps):
 
     # -- in C ----------------------------------------------------------------------------------------------------------
 
-    @property
-    def all_float(self) -> bool:
-        """Whether inputs and outputs are all Float64."""
-        return all(number for number, _, _ in (*self._held, *self._outputs))
-
     def in_c(self) -> Member:
-        """Return the steps for loop.c, where inputs and outputs are all Float64."""
         setters, getters = (_in_c(calls) for calls in (self._held, self._outputs))
         self._keep += [setters, getters]
         return Member(
@@ -245,6 +272,8 @@ class CoSimulationSteps(Steps):
 
 class ModelExchangeSteps(Steps):
     """Evaluations and events of Model Exchange."""
+
+    served_by = "rs_serve_equations"
 
     def __init__(self, calls: Calls, n_x: int, n_z: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
         super().__init__(calls, inputs, outputs, events=True)
@@ -279,6 +308,22 @@ class ModelExchangeSteps(Steps):
         if op & Op.EVENT:
             self._event(op)
         self.head[Head.FUNCTION] = 0
+
+    def in_c(self) -> Server:
+        time: Call = (NUMBER["SetTime"], self._set_time, (self.calls.instance, 0))
+        asked = {Op.TIME: [time], Op.X: self._write_x, Op.U: self._held, Op.XDOT: self._xdot, Op.Y: self._outputs}
+        asked[Op.Z] = self._z
+        calls = [(op, call) for op, own in asked.items() for call in own]
+        made = (_Asked * len(calls))()
+        for entry, (op, (number, function, arguments)) in zip(made, calls, strict=True):
+            entry.op, entry.number, entry.function = op, number, ctypes.cast(function, ctypes.c_void_p)
+            if op in (Op.U, Op.Y):
+                entry.references, entry.n_references, entry.values, entry.n = (*arguments[1:], 0)[:4]
+            elif op != Op.TIME:
+                entry.values, entry.n = arguments[1:]
+        self._keep.append(made)
+        version, instance = int(self.calls.version[0]), self.calls.instance
+        return Server(version, len(calls), instance, address(made), self.block.at(0))
 
     def begin(self) -> None:
         super().begin()
