@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
@@ -9,7 +10,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rotorsim.model.called import forget_failures, raise_failure
+from rotorsim.model.called import connect, forget_failures, raise_failure
+from rotorsim.model.emit.program import Program
+from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
+from rotorsim.model.emit.writer import Writer, array_leaf, call_table, called_functions
+
+WORTH_COMPILING = 10_000  # calls of parts by the virtual machine, each by way of Python: as long as a compilation takes
 
 
 class MatrixFunction:
@@ -22,6 +28,7 @@ class MatrixFunction:
         self._arguments, self._given = list(arguments), expression
         self._sizes = [argument.numel() for argument in arguments]
         self._mapped: dict[tuple[int, tuple[int, ...]], Any] = {}
+        self._calls = 0  # of parts whose equations are elsewhere, by the virtual machine
 
     @cached_property
     def _expression(self) -> Any:
@@ -63,6 +70,9 @@ class MatrixFunction:
         """Return the nonzeros, (n, nnz); CasADi reads and writes the arrays' own memory, which lie column by column."""
         given = [np.ascontiguousarray(np.transpose(c), float).reshape(-1, k) for c, k in self._paired(columns)]
         fixed = tuple(k for k, array in enumerate(given) if len(array) != n)
+        self._calls += n * self._called
+        if self._calls > WORTH_COMPILING and self._compiled is not None:
+            return self._by_c(n, given)
         key = (n, fixed)
         if key not in self._mapped:
             mapped = self._function if n == 1 else self._function.map(f"f{n}", "serial", n, list(fixed), [])
@@ -75,6 +85,64 @@ class MatrixFunction:
         buffer.set_res(0, _memory(result))
         forget_failures()
         trigger()
+        raise_failure()
+        return result
+
+    @cached_property
+    def _called(self) -> int:
+        """How many parts whose equations are elsewhere one evaluation calls."""
+        function = self._function
+        if not function.get_function():
+            return 0
+        return sum(function.instruction_id(k) == ca.OP_CALL for k in range(function.n_instructions()))
+
+    @cached_property
+    def _compiled(self) -> Any:
+        """The function in C, which calls these parts without Python; None without a compiler that works."""
+        compiler = find_compiler()
+        if compiler is None:
+            return None
+        program, names = Program(), [f"a{k}" for k in range(len(self._arguments))]
+        nodes = program.load(self._function, names)[0]
+        called = called_functions([program])
+        table, connecting = call_table(called)
+        arguments = ", ".join([*(f"const double *{name}" for name in names), "double *out", "double *work"])
+        targets = [(f"out[{k}]", node) for k, node in enumerate(nodes)]
+        text, work = Writer(program, {}, array_leaf, [*called]).text(
+            "rs_f", arguments, ", ".join([*names, "out", "work"]), targets
+        )
+        at = ", ".join(f"a[{k}] + i * step[{k}]" for k in range(len(names)))
+        source = f"""#include <math.h>
+#include <stdint.h>
+#include <string.h>
+#if defined(_WIN32)
+#define RS_EXPORT __declspec(dllexport)
+#else
+#define RS_EXPORT __attribute__((visibility("default")))
+#endif
+{table}
+{text}
+RS_EXPORT void rs_map(int64_t n, const double *const *a, const int64_t *step, double *out) {{
+  double work[{work + 1}];
+  for (int64_t i = 0; i < n; i++) rs_f({at}, out + i * {len(nodes)}, work);
+}}
+{connecting}"""
+        try:
+            library, _ = compile_c(source, compiler, "-O1")
+        except CompilerError:
+            return None
+        connect(library, called)
+        library.rs_map.argtypes = [ctypes.c_int64, *[ctypes.c_void_p] * 3]
+        library.rs_map.restype = None
+        return library
+
+    def _by_c(self, n: int, given: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the nonzeros, (n, nnz); arguments of one row are the same at all points."""
+        result = np.empty((n, len(self.rows)))
+        addresses = np.array([array.ctypes.data for array in given], np.uintp)
+        steps = np.array([array.shape[1] if len(array) == n else 0 for array in given], np.int64)
+        forget_failures()
+        self._compiled.rs_map(n, addresses.ctypes.data, steps.ctypes.data, result.ctypes.data)
         raise_failure()
         return result
 

@@ -22,6 +22,7 @@ from rotorsim.fmi.runtime.slave import Slave
 from rotorsim.linear.eigenmodes import modes
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
+from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.periodic import periodic
 from rotorsim.simulation.run import simulate
 from tests.fmi.conftest import Make
@@ -221,11 +222,11 @@ def test_variables_inside_have_derivatives(
 def test_derivatives_that_are_not_those_of_the_equations_are_not_used(fmu: Make, monkeypatch: Any) -> None:
     monkeypatch.setattr(Slave, "jacobian", lambda self, of, by: np.zeros((len(of), len(by))))
     equations = copy.copy(functions_of(with_fmu(fmu, "rotor", "3.0").nodes["rotor"].block).equations)
-    equations._slaves, equations._modes, equations._fmu = OrderedDict(), {}, None
+    equations._slaves, equations._modes, equations._begun = OrderedDict(), {}, {}
     equations._exact, equations._checked, equations.native = True, False, None
     said = "its directional derivatives are not those of its equations: central differences are taken"
     with pytest.warns(RuntimeWarning, match=said):
-        equations.rates(0.0, np.zeros(4), np.zeros(2), equations._p_starts)
+        equations.rates(0.0, np.zeros(4), np.zeros(2), equations._p.starts)
     assert not equations._exact
 
 
@@ -270,3 +271,19 @@ def test_the_equations_of_fmi_1(tmp_path: Path, here: bool) -> None:
     found = simulate(alone(file, "clock", step=0.05, stop=1.0, tick=0.13, in_process=here))
     n = np.floor(found.time / 0.13 + 1e-9)
     assert found["it.x"] == pytest.approx(1 + n * found.time - 0.13 * n * (n + 1) / 2, rel=1e-12)
+
+
+def test_many_points_are_evaluated_in_c(fmu: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The virtual machine of CasADi and the compiled function: the same numbers, arguments fixed or not."""
+    model = compile_diagram(with_fmu(fmu, "rotor"))
+    trace, n = model.trace, 7
+    x = 1e-5 * np.random.default_rng(0).standard_normal((model.n_x, n))
+    given = np.linspace(0.0, 0.1, n)[None], x, model.z0(), model.p0
+    found = []
+    for worth in (10**9, 0):
+        monkeypatch.setattr("rotorsim.model.matrix_function.WORTH_COMPILING", worth)
+        function = MatrixFunction([trace.t, trace.x, trace.z, trace.p], ca.jacobian(trace.xdot, trace.x))
+        found.append((function(*given), function(0.1, x[:, 0], model.z0(), model.p0)))
+        assert ("_compiled" in vars(function)) == (worth == 0)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-12, atol=1e-12 * np.abs(one).max())

@@ -64,7 +64,10 @@ def test_parameters_of_an_fmu_are_identified(folder: Path) -> None:
     assert found_right(identify(driven(folder), load_recording(folder)))
 
 
-@pytest.mark.parametrize("fault", ["fail", "nan", "segv", "discard", "leave"])
+APART = [pytest.param(fault, marks=pytest.mark.slow) for fault in ("segv", "leave")]  # in a process of its own
+
+
+@pytest.mark.parametrize("fault", ["fail", "nan", "discard", *APART])
 def test_a_trial_in_which_it_fails_is_no_end_of_the_fit(folder: Path, fault: str) -> None:
     """From 60 N/m the first step of the search goes beyond 135 N/m, where the FMU fails: a shorter one is tried."""
     apart = fault in ("segv", "leave")
