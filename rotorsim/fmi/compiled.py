@@ -24,7 +24,7 @@ from rotorsim.model.called import CALLED
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 
 READY = 8  # instances that are asked without Python, as of blocks with one file and parameters of their own
-LEAST_PAIRS = 32  # directions of parameters whose instances are known
+PAIRS = 6  # for every parameter: directions whose instances are known
 _INT, _POINTER = ctypes.c_int64, ctypes.c_void_p
 
 
@@ -57,7 +57,11 @@ class _Fmu(ctypes.Structure):
 
 
 class _Function(ctypes.Structure):
-    _fields_ = [("fmu", _POINTER), ("n_rows", _INT), ("rows", _POINTER), ("groups", _INT * 4), ("slow", _POINTER)]
+    _fields_ = [
+        *(("fmu", _POINTER), ("n_rows", _INT), ("rows", _POINTER)),
+        *((name, _INT * 4) for name in ("groups", "wanted")),
+        ("slow", _POINTER),
+    ]
 
 
 @cache
@@ -91,7 +95,7 @@ class InC:
         self._chosen: list[tuple[np.ndarray, Slave] | None] = [None] * READY
         self._oldest = 0
         self._sides: dict[int, np.ndarray] = {}
-        self._most = max(LEAST_PAIRS, 2 * p_size)
+        self._most = PAIRS * (p_size + 1)
         self._pairs = (_Pair * self._most)()
         self._pair_of: list[tuple[np.ndarray, np.ndarray, Slave, Slave] | None] = [None] * self._most
         self._next = 0
@@ -228,12 +232,17 @@ class InC:
             slave.worker.serve_in_c(str(library._name))
 
     def function(
-        self, rows: Sequence[int], groups: Sequence[bool], slow: Callable[[Any, Any, Any], None], what: str
+        self,
+        rows: Sequence[int],
+        groups: Sequence[bool],
+        wanted: Sequence[bool],
+        slow: Callable[[Any, Any, Any], None],
+        what: str,
     ) -> tuple[int, int, Any]:
         """Return addresses of a C function and of its context, and what both need as long as they are called.
 
-        what: values, forward or reverse. slow: gets the context, the arguments and the results, and answers where C
-        cannot.
+        groups: which of t, x, u, p are arguments; wanted: by which of them sums are results; what: values, forward or
+        reverse. slow: gets the context, the arguments and the results, and answers where C cannot.
         """
         library = _library()
         assert library is not None
@@ -244,6 +253,7 @@ class InC:
             len(indices),
             indices.ctypes.data,
             (_INT * 4)(*map(int, groups)),
+            (_INT * 4)(*map(int, wanted)),
             ctypes.cast(trampoline, _POINTER).value,
         )
         function = getattr(library, f"rs_fmu_{what}")

@@ -63,12 +63,13 @@ typedef struct {
     double *seen, *work;
 } rs_fmu;
 
-/* Some rows of [x'; y]; groups: whether t, x, u, p are arguments. slow: gets self, arguments and results. */
+/* Some rows of [x'; y]; groups: whether t, x, u, p are arguments; wanted: whether weighted sums of derivatives by them are
+   results. slow: gets self, arguments and results. */
 typedef struct rs_function {
     rs_fmu *fmu;
     int64_t n_rows;
     const int64_t *rows;
-    int64_t groups[4];
+    int64_t groups[4], wanted[4];
     void (*slow)(void *, const double *, double *);
 } rs_function;
 
@@ -310,7 +311,7 @@ RS_EXPORT void rs_fmu_forward(void *context, const double *arguments, double *re
         self->slow(context, arguments, results);
 }
 
-/* arguments, results at them, weights of rows of [x'; y] -> the weighted sums of their derivatives by all arguments */
+/* arguments, results at them, weights of rows of [x'; y] -> the weighted sums of their derivatives by arguments */
 RS_EXPORT void rs_fmu_reverse(void *context, const double *arguments, double *results) {
     const rs_function *self = context;
     const rs_fmu *f = self->fmu;
@@ -322,7 +323,7 @@ RS_EXPORT void rs_fmu_reverse(void *context, const double *arguments, double *re
     int rates, outputs, sound = 1;
     wanted(self, &rates, &outputs);
     for (int g = 0; g < 4 && sound; g++)
-        for (int64_t c = 0; self->groups[g] && c < sizes[g] && sound; c++) {
+        for (int64_t c = 0; self->groups[g] && self->wanted[g] && c < sizes[g] && sound; c++) {
             double sum = 0.0;
             if (g || f->timed) {
                 for (int64_t k = 0; k < m; k++) direction[k] = (g == 1 || g == 2) && k == c + (g == 2 ? f->n_x : 0) ? 1.0 : 0.0;

@@ -28,7 +28,8 @@ from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.fmi.instances import Instances, Values
 from rotorsim.fmi.runtime.slave import Slave
 
-MOST_INSTANCES = 24  # that one file keeps open, those used last; in process enough for a difference by every parameter
+MOST_PROCESSES = 24  # of one block, those used last
+POINTS = 6  # values of all parameters, each with differences by every one, whose instances in this process are kept
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
 CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
 
@@ -59,7 +60,7 @@ class FmuEquations:
         self.u_scales, self.y_scales = self._u.scales, y.scales
         self.n_u, self.n_y, self.n_p = len(self._u), len(y), len(self._p)
         self._most = 2 * self.n_p + 2  # one, and two for the difference by each parameter, and one that comes
-        self._most = max(self._most, MOST_INSTANCES) if in_process else min(self._most, MOST_INSTANCES)
+        self._most = POINTS * self._most if in_process else min(self._most, MOST_PROCESSES)
         self._slaves: OrderedDict[bytes, Slave] = OrderedDict()
         self._begun: dict[int, np.ndarray] = {}  # the states with which they began
         self._starter: Slave | None = None  # begins with other inputs
@@ -296,6 +297,13 @@ class FmuEquations:
         if self.native is not None:
             self.native.forget(slave)
             self.prefer(p)
+
+    def close(self) -> None:
+        """Free all instances; they are made anew when they are needed."""
+        for slave in [*self._slaves.values(), *([self._starter] if self._starter else [])]:
+            self._free(slave)
+        self._slaves.clear()
+        self._starter = None
 
     def discard(self, p: np.ndarray) -> None:
         """Free the instance with parameters p: the next one begins anew."""

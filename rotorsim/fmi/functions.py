@@ -73,8 +73,13 @@ class _Function(ca.Callback):
             note_failure(error)
         return [np.full(shape, np.nan) for shape in self.results]
 
-    def call_from_c(self, native: InC, rows: Sequence[int], groups: Sequence[bool], what: str) -> None:
-        """Let C answer for this function, whose results are columns, and this function where C cannot."""
+    def call_from_c(
+        self, native: InC, rows: Sequence[int], groups: tuple[Sequence[bool], Sequence[bool]], what: str
+    ) -> None:
+        """Let C answer for this function, whose results are columns, and this function where C cannot.
+
+        groups: which of t, x, u, p are arguments, and which of the sums by them are results.
+        """
         n_in, n_out = sum(self.arguments), sum(rows for rows, _ in self.results)
 
         def slow(_: Any, arguments: Any, results: Any) -> None:
@@ -87,7 +92,7 @@ class _Function(ca.Callback):
             np.ctypeslib.as_array(results, (max(n_out, 1),))[:n_out] = found
 
         ends = np.cumsum(self.arguments)[:-1]
-        function, context, keep = native.function(rows, groups, slow, what)
+        function, context, keep = native.function(rows, *groups, slow, what)
         register(self.name(), function, context, keep)
         given, found = np.zeros(max(n_in, 1)), np.zeros(max(n_out, 1))
         self._parts = np.split(given[:n_in], ends)
@@ -101,6 +106,12 @@ class _Function(ca.Callback):
 
 
 _NOTHING = np.zeros(0)
+ALL = (True, True, True, True)
+_SUMS = {  # by t, x, u, p
+    "time": (True, False, False, False),
+    "states": (False, True, True, False),
+    "parameters": (False, False, False, True),
+}
 
 
 class _Called(_Function):
@@ -148,20 +159,33 @@ class _Called(_Function):
         self.answer_in_c(made, "forward")
         return made
 
-    def answer_in_c(self, function: _Function, what: str) -> None:
-        """Let C answer for a function of these rows, where there is an instance in this process."""
+    def answer_in_c(self, function: _Function, what: str, wanted: Sequence[bool] = ALL) -> None:
+        """Let C answer for a function of these rows, where it can. wanted: sums by t, x, u, p."""
         native, row_of = self.equations.native, self.equations.native_row
         if native is not None and self.rows and all(k in row_of for k in self.rows):
-            function.call_from_c(native, [row_of[k] for k in self.rows], self.groups, what)
+            function.call_from_c(native, [row_of[k] for k in self.rows], (self.groups, wanted), what)
 
     def has_reverse(self, directions: int) -> bool:
         return directions == 1
 
     def get_reverse(self, _: int, name: str, _in: Any, _out: Any, _options: Any) -> Any:
-        made = _Reverse(name, self)
-        self._derivatives.append(made)
-        self.answer_in_c(made, "reverse")
-        return made
+        """Return the weighted sums of derivatives by all arguments.
+
+        Those by time, by states and inputs, and by parameters are functions of their own, of which an expression calls
+        those whose results it uses: differences by parameters are dear.
+        """
+        given = [ca.SX.sym(f"a{k}", size) for k, size in enumerate([*self.arguments, self.size, self.size])]
+        sums = [ca.SX(size, 1) for size in self.arguments]
+        for what, wanted in _SUMS.items():
+            places = [k for k in range(4) if wanted[k] and self.groups[k]]
+            if not any(self.arguments[k] for k in places):
+                continue
+            made = _Reverse(f"{name}_{what}", self, wanted)
+            self._derivatives.append(made)
+            self.answer_in_c(made, "reverse", wanted)
+            for k, one in zip(places, made.call(given), strict=True):
+                sums[k] = one
+        return ca.Function(name, given, sums)
 
     def along(self, point: Sequence[np.ndarray], seeds: Sequence[np.ndarray]) -> np.ndarray:
         """Return the derivative in a direction of t, x, u, p; what does not move costs nothing."""
@@ -224,20 +248,21 @@ class _Forward(_Function):
 
 
 class _Reverse(_Function):
-    """Weighted sums of the derivatives of a function of an FMU by its arguments."""
+    """Weighted sums of the derivatives of a function of an FMU by those of its arguments that are wanted."""
 
-    def __init__(self, name: str, of: _Called) -> None:
+    def __init__(self, name: str, of: _Called, wanted: Sequence[bool]) -> None:
         self.of = of
-        shapes = [(size, 1) for size in of.arguments]
+        self.wanted = [given and one for given, one in zip(of.groups, wanted, strict=True)]
+        shapes = [(size, 1) for size, one in zip(of.sizes, self.wanted, strict=True) if one]
         options = {"enable_fd": True, "fd_method": "central", "never_inline": True}
         super().__init__(name, [*of.arguments, of.size, of.size], shapes, **options)
 
     def evaluate(self, *arguments: np.ndarray) -> Sequence[np.ndarray]:
-        point, groups = self.of.whole(arguments[:4]), self.of.groups
-        sums = self.of.jacobian_at(point, groups).T @ arguments[5]
+        point = self.of.whole(arguments[:4])
+        sums = self.of.jacobian_at(point, self.wanted).T @ arguments[5]
         self.of.equations.prefer(point[3])
         parts = np.split(sums, np.cumsum(self.of.sizes)[:-1])
-        return [part if given else _NOTHING for part, given in zip(parts, groups, strict=True)]
+        return [part for part, one in zip(parts, self.wanted, strict=True) if one]
 
 
 class FmuFunctions:
@@ -266,6 +291,12 @@ def _digest(path: str, _stamp: tuple[int, int]) -> str:
 
 
 _known: dict[str, FmuFunctions] = {}
+
+
+def close_instances() -> None:
+    """Free all instances that functions keep, and end their processes; they are made anew when they are needed."""
+    for functions in _known.values():
+        functions.equations.close()
 
 
 def held_inputs(block: Any) -> dict[str, Any]:

@@ -56,7 +56,13 @@ class MatrixFunction:
 
     @cached_property
     def _function(self) -> Any:
-        return ca.Function("f", self._arguments, [self._expression.nz[:]])
+        function = ca.Function("f", self._arguments, [self._expression.nz[:]])
+        if not function.get_function():
+            return function
+        program, names = Program(), [f"a{k}" for k in range(len(self._arguments))]
+        nodes = program.load(function, names)[0]  # without calls whose results nobody wants
+        column = program.to_casadi(nodes, dict(zip(names, self._arguments, strict=True)), {})
+        return ca.Function("f", self._arguments, [column])
 
     def __call__(self, *columns: Any) -> np.ndarray:
         """Return values, shape (n, rows, columns); each argument is a column or n columns side by side."""

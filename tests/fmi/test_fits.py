@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, lfilter
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
+from rotorsim.fmi.functions import close_instances
 from rotorsim.identification.identification import identify
+from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
 from rotorsim.recordings.loading import load_recording
 from tests.fmi.plant import FAULTS, make_fmu
@@ -72,9 +74,23 @@ def test_a_trial_in_which_it_fails_is_no_end_of_the_fit(folder: Path, fault: str
     """From 60 N/m the first step of the search goes beyond 135 N/m, where the FMU fails: a shorter one is tried."""
     apart = fault in ("segv", "leave")
     values = {"fault": FAULTS.index(fault), "fault_time": 0.5, "fault_above": 135.0, "stiffness": 60.0}
-    before = len(psutil.Process().children(recursive=True))
     assert found_right(identify(driven(folder, in_process=not apart, **values), load_recording(folder)))
-    assert len(psutil.Process().children(recursive=True)) <= before + 24
+
+
+def test_instances_end_when_they_are_told_to(folder: Path) -> None:
+    model = compile_diagram(driven(folder, in_process=False))
+
+    def slope() -> np.ndarray:
+        return np.array(model.rhs(0.0, model.x0(), model.z0(), model.p0))
+
+    close_instances()
+    first = slope()
+    os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG)
+    close_instances()
+    with pytest.raises(ChildProcessError):
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG)
+    np.testing.assert_array_equal(slope(), first)
+    close_instances()
 
 
 def test_a_fit_that_cannot_begin_says_what_failed(folder: Path) -> None:

@@ -12,6 +12,7 @@ import re
 import sys
 from collections import deque
 from ctypes import c_bool, c_char_p, c_double, c_int, c_size_t, c_void_p
+from functools import cache
 from typing import Any
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
@@ -161,6 +162,17 @@ class Library:
         return function
 
 
+@cache
+def library_of(path: str, version: str) -> Library:
+    """Return the library at a path, loaded once: what it takes to load it is more than an instance does."""
+    return Library(path, version)
+
+
+@cache
+def _libc() -> Any:
+    return ctypes.cdll.msvcrt if sys.platform == "win32" else ctypes.CDLL(None)
+
+
 class _Callbacks2(ctypes.Structure):
     _fields_ = [(name, c_void_p) for name in ("logger", "allocate", "free", "finished", "environment")]
 
@@ -181,7 +193,7 @@ class Log:
         extra: list[Any] = [c_size_t] * _SLOTS + [c_double] * 8 if _READS_VARIADIC else []
         form = ctypes.CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p, *extra)
         self.callback = form(self._formatted)
-        libc: Any = ctypes.cdll.msvcrt if sys.platform == "win32" else ctypes.CDLL(None)
+        libc = _libc()
         self.struct = _Callbacks2(
             ctypes.cast(self.callback, c_void_p), ctypes.cast(libc.calloc, c_void_p), ctypes.cast(libc.free, c_void_p)
         )

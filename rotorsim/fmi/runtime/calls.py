@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from rotorsim.fmi.runtime.binding import STATUS, TYPES, CallError, Library, Log
+from rotorsim.fmi.runtime.binding import STATUS, TYPES, CallError, Log, library_of
 from rotorsim.fmi.runtime.memory import Block, Head
 
 FUNCTIONS = (
@@ -82,7 +82,7 @@ class Calls(ABC):
 
     def open(self, path: str, version: str) -> Functions:
         """Load the library. Raises CallError."""
-        return Library(path, version)
+        return library_of(path, version)
 
     @abstractmethod
     def create(self, name: bytes, token: bytes, resources: bytes | None) -> int | None:

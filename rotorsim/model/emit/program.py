@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import Any, Protocol
 
 import casadi as ca
@@ -262,6 +263,10 @@ class Program:
 
     def load(self, function: ca.Function, names: Sequence[str]) -> list[list[int]]:
         """Add the operations of a CasADi SX function; return the nodes of its outputs. names: of its arguments."""
+        return self._loaded(function, lambda argument, place: self.input(names[argument], place))
+
+    def _loaded(self, function: ca.Function, leaf: Callable[[int, int], int]) -> list[list[int]]:
+        """Return the nodes of the outputs of a function, whose arguments are nodes; leaf: argument, nonzero -> node."""
         work: list[int] = [0] * function.sz_w()
         outputs = [[self.constant(0.0)] * function.numel_out(k) for k in range(function.n_out())]
         rows = [_dense_positions(function.sparsity_out(k)) for k in range(function.n_out())]
@@ -270,19 +275,33 @@ class Program:
             op = function.instruction_id(k)
             into, out = function.instruction_input(k), function.instruction_output(k)
             if op == INPUT:
-                work[out[0]] = self.input(names[into[0]], into[1])
+                work[out[0]] = leaf(into[0], into[1])
             elif op == CONSTANT:
                 work[out[0]] = self.constant(function.instruction_constant(k))
             elif op == ca.OP_OUTPUT:
                 outputs[out[0]][rows[out[0]][out[1]]] = work[into[0]]
             elif op == CALL:
-                call = self.call(called[k].which_function(), [work[place] for place in into])
+                results = self._called(called[k].which_function(), [work[place] for place in into])
                 for position, place in enumerate(out):
                     if place >= 0:  # else nobody wants it
-                        work[place] = self.result(call, position)
+                        work[place] = results(position)
             else:
                 work[out[0]] = self.apply(op, work[into[0]], work[into[1]] if len(into) > 1 else -1)
         return outputs
+
+    def _called(self, function: ca.Function, operands: list[int]) -> Callable[[int], int]:
+        """Return the results of a call by position: of an expression that calls others, which is inlined, or of a node.
+
+        Of what is inlined only the calls remain whose results somebody wants.
+        """
+        if not function.is_a("SXFunction"):
+            call = self.call(function, operands)
+            return lambda position: self.result(call, position)
+        first = [0, *accumulate(function.nnz_in(k) for k in range(function.n_in()))]
+        dense = self._loaded(function, lambda argument, place: operands[first[argument] + place])
+        sparse = [_dense_positions(function.sparsity_out(k)) for k in range(function.n_out())]
+        results = [one[place] for one, places in zip(dense, sparse, strict=True) for place in places]
+        return results.__getitem__
 
     def to_casadi(self, outputs: Iterable[int], symbols: Mapping[str, Any], given: Mapping[int, ca.SX]) -> ca.SX:
         """Return nodes as one CasADi column; symbols: vector name -> column, given: nodes that are known already."""

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from rotorsim.errors import RotorsimError
+from rotorsim.fmi.functions import close_instances
 from rotorsim.fmi.runtime.binding import format_message
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.slave import Slave, open_fmu
@@ -31,6 +32,7 @@ def plants(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.fixture
 def clean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Give an empty folder for temporary files; afterwards it is empty, and no child is left."""
+    close_instances()  # those that equations of other tests keep
     folder = tmp_path / "tmp"
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
