@@ -24,7 +24,7 @@ from rotorsim.model.called import CALLED
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 
 READY = 8  # instances that are asked without Python, as of blocks with one file and parameters of their own
-PAIRS = 6  # for every parameter: directions whose instances are known
+PAIRS_EACH = 6  # for every parameter: directions whose instances are known
 _INT, _POINTER = ctypes.c_int64, ctypes.c_void_p
 
 
@@ -95,7 +95,7 @@ class InC:
         self._chosen: list[tuple[np.ndarray, Slave] | None] = [None] * READY
         self._oldest = 0
         self._sides: dict[int, np.ndarray] = {}
-        self._most = PAIRS * (p_size + 1)
+        self._most = PAIRS_EACH * (p_size + 1)
         self._pairs = (_Pair * self._most)()
         self._pair_of: list[tuple[np.ndarray, np.ndarray, Slave, Slave] | None] = [None] * self._most
         self._next = 0

@@ -29,7 +29,9 @@ from rotorsim.fmi.instances import Instances, Values
 from rotorsim.fmi.runtime.slave import Slave
 
 MOST_PROCESSES = 24  # of one block, those used last
-POINTS = 6  # values of all parameters, each with differences by every one, whose instances in this process are kept
+KEPT_POINTS = (
+    6  # values of all parameters, each with differences by every one, whose instances in this process are kept
+)
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
 CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
 
@@ -60,7 +62,7 @@ class FmuEquations:
         self.u_scales, self.y_scales = self._u.scales, y.scales
         self.n_u, self.n_y, self.n_p = len(self._u), len(y), len(self._p)
         self._most = 2 * self.n_p + 2  # one, and two for the difference by each parameter, and one that comes
-        self._most = POINTS * self._most if in_process else min(self._most, MOST_PROCESSES)
+        self._most = KEPT_POINTS * self._most if in_process else min(self._most, MOST_PROCESSES)
         self._slaves: OrderedDict[bytes, Slave] = OrderedDict()
         self._begun: dict[int, np.ndarray] = {}  # the states with which they began
         self._starter: Slave | None = None  # begins with other inputs
