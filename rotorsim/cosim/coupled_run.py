@@ -56,7 +56,8 @@ def simulate_coupled(
     names, p = model.record_names(record), model.parameter_vector(parameters)
     n_steps = max(round(np.ceil(end / h - 1e-9)), 1)
     begun = clock.process_time()
-    settings: dict[str, Any] = {"stop": n_steps * h, "method": method or "rk4", "use_compiler": use_compiler}
+    chosen = (method or solver.method).lower()
+    settings: dict[str, Any] = {"stop": n_steps * h, "method": chosen, "use_compiler": use_compiler}
     whole = coupling_of(model, names, p, step=h, check=True, progress=_part(progress, 0.0, SHARE), **settings)
     time, signals = _on_grid(model, whole, names, h, every)
     ran = clock.process_time()
@@ -76,6 +77,10 @@ def simulate_coupled(
         else:
             message = f"the error of the coupling was not estimated: with half the step, {finer.message}"
         counters["check_cpu_seconds"] = clock.process_time() - ran
+    if chosen != "rk4" and status == "finished":
+        message = "; ".join(
+            filter(None, (message, f"{chosen} is for states of FMUs alone: other blocks take RK4 steps"))
+        )
     coupling = {key: value for key, value in whole.provenance.items() if key != "communication_step"}
     how = "inputs held" if coupling["order"] == 0 else f"inputs of order {coupling['order']}"
     path = f"co-simulated with {', '.join(model.hidden)}: {MASTER}, {how}"

@@ -188,6 +188,11 @@ def test_parts_of_signals_and_every_nth_step(fmu: Make) -> None:
     np.testing.assert_array_equal(part.time, whole.time[::4])
 
 
+def test_a_method_that_other_blocks_do_not_take_is_told(fmu: Make) -> None:
+    found = simulate(with_fmu(fmu, "controller", interface="cs"), stop=0.01, method="radau")
+    assert found.message.endswith("radau is for states of FMUs alone: other blocks take RK4 steps")
+
+
 def test_a_step_with_which_the_loop_diverges_is_refused(fmu: Make) -> None:
     with pytest.raises(RotorsimError) as caught:
         simulate(with_fmu(fmu, "controller", interface="cs"), step=1e-3, stop=0.1)
