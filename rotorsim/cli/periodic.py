@@ -64,10 +64,11 @@ def command(
         note(f"{name} drifts: its mean has no settled value")
     coupling = result.provenance.get("coupling_error")
     if coupling is not None:
-        settled = f"extrapolated from {result.counters['turns']} periods at most"
-        note(
-            f"co-simulated, {settled}; error of the coupling: {percent(max(coupling))} of the largest harmonic at most"
-        )
+        known = [error for error in coupling if math.isfinite(error)]
+        told = f"{percent(max(known))} of the largest harmonic at most" if known else "not known"
+        missing = f", not known at {len(coupling) - len(known)} speeds" if known and len(known) < len(coupling) else ""
+        settled = f"co-simulated, extrapolated from {result.counters['turns']} periods"
+        note(f"{settled}; error of the coupling: {told}{missing}")
     refuse_if(plot and len(result.speeds) < 2, "--plot needs several speeds", hint="give --speeds")
 
     save_plot(lambda: result.plot(title=loaded.name), plot)
@@ -86,7 +87,8 @@ def command(
     if shaky:
         between = " .. ".join(dict.fromkeys(f"{rpm(speed):.6g}" for speed in (shaky[0], shaky[-1])))
         what = f"unstable at {len(shaky)} of {len(result.speeds)} speeds ({between} rpm): this motion is never reached"
-        warn(what, loaded.name, "'rotorsim modes' shows which pole grows")
+        hint = "'rotorsim modes' shows which pole grows" if coupling is None else "other gains"
+        warn(what, loaded.name, hint)
     data = {
         "diagram": loaded.name,
         "speeds": result.speeds,

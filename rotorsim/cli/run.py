@@ -304,7 +304,7 @@ def _hint(result: Result, out: str | None) -> str:
         return kept
     if smaller:
         return f"{smaller}; {kept}"
-    return kept if result.cause in ("sampled", "loop") else f"{kept}; 'rotorsim modes' shows which modes grow"
+    return kept if result.cause in ("sampled", "loop", "part") else f"{kept}; 'rotorsim modes' shows which modes grow"
 
 
 def _data(result: Result, harmonics: Sequence[Harmonics], files: Sequence[str]) -> dict[str, Any]:

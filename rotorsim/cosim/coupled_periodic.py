@@ -49,32 +49,34 @@ def periodic_coupled(
 
     From rest, signals are exchanged m times a period as in `run`; the harmonics of each period make a sequence whose
     limit is extrapolated from its last terms (reduced rank extrapolation). ``provenance["coupling_error"]`` (n,): twice
-    the difference to half the step, relative to the largest harmonic, worst channel.
-    Raises RotorsimError. Source: Sidi, Vector Extrapolation Methods with Applications (SIAM, 2017), ch. 1.
+    the difference to half the step, relative to the largest harmonic, worst channel; NaN where one of both has not
+    settled. Raises RotorsimError, also for a step with which the coupling must diverge.
+    Source: Sidi, Vector Extrapolation Methods with Applications (SIAM, 2017), ch. 1.
     """
     asked = names is not None
     wanted = model.record_names(names)
-    found, finer, kept = [], [], None
+    found, finer, lost = [], [], set[str]()
     for speed, values in zip(speeds, p, strict=True):
         period = 2 * np.pi * subharmonic / speed
         m = max(int(np.ceil(period / model.diagram.solver.step - 1e-9)), 8)
         pair = []
         for parts in (1, 2):
-            made, drifting = _settle(model, wanted, values, period, m * parts, m // 2)
+            made, drifting = _settle(model, wanted, values, period, m * parts, m // 2, check=parts == 1)
             pair.append(made)
             if drifting and asked:
                 what = "this signal does not return after one period: it has no harmonics"
                 raise RotorsimError(*[Problem(what, name) for name in drifting])
-            kept = [name for name in wanted if name not in drifting] if kept is None else kept
+            lost |= {*drifting}
         found.append(pair[0])
         finer.append(pair[1])
-    channels = Channels(model, tuple(kept or ()))
+    channels = Channels(model, tuple(name for name in wanted if name not in lost))
     columns = _columns(model, wanted, channels)
     H = min(len(one.values) for one in found) - 1
     Y, Z = (np.stack([one.values[: H + 1][:, columns] for one in every]) for every in (found, finer))
     size = np.nan_to_num(np.abs(Y)).max(axis=1, keepdims=True, initial=0.0)  # largest harmonic, (n, 1, channels)
     scale = np.where(size > 0, size, np.inf)
-    shares, change = (np.nan_to_num(np.abs(values) / scale) for values in (Y, 2 * (Y - Z)))
+    shares = np.nan_to_num(np.abs(Y) / scale)
+    error = (np.abs(2 * (Y - Z)) / scale).max(axis=(1, 2), initial=0.0)  # NaN: there is none without both
     needed = np.flatnonzero((shares > KEPT).any(axis=(0, 2))).max(initial=1)
     kept_orders = int(min(H, needed if harmonics is None else harmonics))
     left = shares[:, kept_orders + 1 :].max(axis=(1, 2), initial=0.0)
@@ -96,18 +98,18 @@ def periodic_coupled(
             "method": "co-simulation, extrapolated",
             "harmonics": kept_orders,
             "turns": subharmonic,
-            "coupling_error": change.max(axis=(1, 2), initial=0.0).tolist(),
+            "coupling_error": error.tolist(),
         },
     )
 
 
 def _settle(
-    model: Model, names: Sequence[str], p: np.ndarray, period: float, m: int, H: int
+    model: Model, names: Sequence[str], p: np.ndarray, period: float, m: int, H: int, *, check: bool
 ) -> tuple[_Settled, list[str]]:
     """Return the harmonics 0..H of the settled motion with m steps a period, and the signals that drift."""
     turns = FIRST_TURNS
     while True:
-        result = coupling_of(model, names, p, step=period / m, stop=turns * period)
+        result = coupling_of(model, names, p, step=period / m, stop=turns * period, check=check)
         count = sum(int(np.prod(model.shape_of(name), dtype=int)) for name in names)
         if result.status != "finished":
             nothing = np.full((H + 1, count), np.nan + 0j)

@@ -25,7 +25,7 @@ from rotorsim.simulation.validity import Run, Stretch, judge, loose_tolerance, s
 LARGEST_RESIDUAL = 1e-9  # of algebraic loops
 LARGEST_RECORD = 1e9  # bytes; summing up and writing takes two to three times as much for a while
 COUPLED_RUN = "rotorsim.cosim.coupled_run"  # a room above this one: imported where parts hide their equations
-UNKNOWN_ERROR = "the error of the step was not estimated: a part had events, and does not let its state be saved"
+UNKNOWN_ERROR = "the error of the step was not estimated: a part changes at events and cannot save its state"
 Progress = Callable[[float], None]
 
 

@@ -226,7 +226,11 @@ class SwitchingInstance(EventSteps):
         self.inner.derivative(t, x)
         raise_failure()
         self._point = t
-        return np.concatenate([np.zeros(0), *(mode.indicators() for mode in self.modes)])
+        z = np.concatenate([np.zeros(0), *(mode.indicators() for mode in self.modes)])
+        if (bad := np.flatnonzero(~np.isfinite(z))).size:  # has no side: an event would be missed
+            block, k = self._place(int(bad[0]))
+            raise self._failed(t, f"gives {z[bad[0]]} for event indicator {k}", block)
+        return z
 
     def _present(self, t: float) -> np.ndarray:
         return self._indicators(t, self.inner.x)
@@ -263,12 +267,20 @@ class SwitchingInstance(EventSteps):
         for mode in self.modes:
             mode.settle()
 
+    def _place(self, indicator: int) -> tuple[str, int]:
+        """Return the block of an indicator, and which it is of its own, from 1."""
+        first = np.cumsum([0, *(mode.n_indicators for mode in self.modes)])
+        k = int(np.searchsorted(first, indicator, side="right")) - 1
+        return self.parts[k].block, int(indicator - first[k] + 1)
+
     def _endless(self, t: float, what: str, indicator: int | None = None) -> RotorsimError:
-        subject = self._name
-        if indicator is not None:
-            first = np.cumsum([0, *(mode.n_indicators for mode in self.modes)])
-            k = int(np.searchsorted(first, indicator, side="right")) - 1
-            subject, what = self.parts[k].block, f"event indicator {indicator - first[k] + 1} {what}"
-        error = RotorsimError(Problem(f"{what} (t = {t:.9g} s)", subject, hint=ACCUMULATE), exit_code=1)
+        if indicator is None:
+            return self._failed(t, what, self._name, ACCUMULATE)
+        block, k = self._place(indicator)
+        return self._failed(t, f"event indicator {k} {what}", block, ACCUMULATE)
+
+    @staticmethod
+    def _failed(t: float, what: str, subject: str, hint: str = "") -> RotorsimError:
+        error = RotorsimError(Problem(f"{what} (t = {t:.9g} s)", subject, hint=hint), exit_code=1)
         error.time = t  # type: ignore[attr-defined]
         return error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from rotorsim.cosim import coupled_periodic
 from rotorsim.errors import RotorsimError
+from rotorsim.fmi.mode import FmuMode
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
 from rotorsim.settled.periodic import periodic
@@ -124,7 +127,7 @@ def test_who_does_not_let_its_state_be_saved(tmp_path: Path) -> None:
     found = simulate(alone(events_fmu(tmp_path, saves=False, reports=False), "ball", step=H, stop=1.0))
     assert (found.status, found.message) == (
         "finished",
-        "the error of the step was not estimated: a part had events, and does not let its state be saved",
+        "the error of the step was not estimated: a part changes at events and cannot save its state",
     )
     assert "step_error" not in found.counters
 
@@ -267,3 +270,32 @@ def test_a_motion_that_is_never_reached(fmu: Make) -> None:
     plain = periodic(load("jeffcott", set={"controller.KD": -5.0}), speeds=[150.0])
     assert plain.stable == (False,)
     assert found.stable == (False,) or found.status[0].startswith("failed: ")
+
+
+def test_a_step_with_which_the_coupling_diverges_settles_nowhere(fmu: Make) -> None:
+    document = dict(with_fmu(fmu, "controller", interface="cs").document)
+    with pytest.raises(RotorsimError, match="with this step the coupled loop is unstable"):
+        periodic(load({**document, "solver": {"step": 1e-3}}, trust_blocks=True), speeds=[150.0])
+
+
+def test_an_error_that_is_not_known_is_not_zero(fmu: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where half the step does not settle there is nothing to compare with; angles are left out all the same."""
+    settle = coupled_periodic._settle
+
+    def half_fails(*given: Any, check: bool) -> Any:
+        made, drifting = settle(*given, check=check)
+        return (made, drifting) if check else (replace(made, values=made.values * np.nan, status="failed: so"), [])
+
+    monkeypatch.setattr(coupled_periodic, "_settle", half_fails)
+    found = periodic(with_fmu(fmu, "controller", interface="cs"), speeds=[150.0])
+    assert np.isnan(found.provenance["coupling_error"]).tolist() == [True]
+    assert "clock.theta" not in found.harmonics
+
+
+def test_an_indicator_that_is_no_number_ends_the_run(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FmuMode, "indicators", lambda self: np.array([np.nan]))
+    found = simulate(alone(file, "ball", step=H, stop=1.0))
+    assert (found.status, found.message) == (
+        "stopped",
+        "it: gives nan for event indicator 1 (t = 0 s); what was computed until t = 0 s is kept",
+    )
