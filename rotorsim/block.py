@@ -282,6 +282,13 @@ class Block:
         """
         raise NotImplementedError
 
+    def linear_equations(self, p: Any, u: Any, x: Any, t: Symbol) -> Equations | None:
+        """Return equations of an opaque block that is said to be linear, its factors written out; None for others.
+
+        Analyses take them in the place of ``equations``, runs do not.
+        """
+        return None
+
     def starts(self, p: Any) -> Mapping[str, Symbol]:
         """Return where states begin whose ``init`` does not say it, as expressions of p (default: none)."""
         return {}

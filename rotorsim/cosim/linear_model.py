@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rotorsim.model.linearity import jacobian
 from rotorsim.model.part import Part
 
 HIT = 1e-6  # of a period: how far from its time a hit is still due
@@ -60,8 +61,8 @@ def linear_part(part: Part, p: np.ndarray, n_z: int, outputs: Sequence[str]) -> 
     rate = ca.vertcat(trace.xdot, ca.SX.zeros(n_z, 1))
     after = ca.vertcat(trace.x, _column(trace.z_next, range(n_z)))
     point = [trace.t, trace.x, trace.z, trace.p]
-    blocks = [ca.jacobian(e, by) for e in (rate, y) for by in (s, u)]
-    jumps = [ca.jacobian(after, by) for by in (s, u)]
+    blocks = [jacobian(e, by) for e in (rate, y) for by in (s, u)]
+    jumps = [jacobian(after, by) for by in (s, u)]
     exact = not any(ca.depends_on(J, ca.vertcat(trace.t, s, u)) for J in (*blocks, *jumps))
     flow = ca.Function("flow", point, [ca.densify(J) for J in blocks])
     n, n_u, n_y = s.numel(), u.numel(), y.numel()

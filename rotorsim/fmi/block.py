@@ -39,7 +39,7 @@ from rotorsim.fmi.mode import FmuMode
 from rotorsim.fmi.runtime.slave import describe_fmu
 
 _INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
-_TAKEN = ("file", "interface", "in_process")  # options of the block itself; a value of the FMU of this name gets a "_"
+_TAKEN = ("file", "interface", "in_process", "linear")  # options of the block: a value of the FMU so named gets a "_"
 _WORDS: dict[str, type] = {"Boolean": bool, "String": str}  # types whose values are given as such
 
 
@@ -257,6 +257,9 @@ def _made(
             kind=str,
             doc="cs, me, or any: me where equations are asked for, cs to cosim",
         ),
+        "linear": Option(
+            True, kind=bool, doc="take its description at its word where that says that its equations are linear"
+        ),
         "in_process": Option(False, kind=bool, doc="load its code into this process: faster, but a crash is ours"),
     }
     for port in inputs.values():
@@ -288,7 +291,8 @@ def _made(
             when=lambda option: _has_states(option, description),
             doc="those of the FMU, in its units",
         )
-    body |= {"equations": _equations, "starts": _starts, "untraced": _not_traced, "mode": _mode}
+    body |= {"equations": _equations, "linear_equations": _linear_equations, "starts": _starts}
+    body |= {"untraced": _not_traced, "mode": _mode}
     return type("Fmu", (Block,), body)
 
 
@@ -342,6 +346,28 @@ def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
         for name, part in zip(members, _split(column, [len(rows) for rows in members.values()]), strict=True):
             outputs[name] = unflatten(part, _two(ports[name].shape))
     return Equations(outputs, {"states": functions.call("f", range(n_x), (True,) * 4, given)} if n_x else {})
+
+
+def _linear_equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations | None:
+    """Return x' = A(p) x + B(p) u + f(t, p), and outputs likewise, where the model description says that it is so."""
+    block: Any = self
+    description, ports = block.fmu_description, block.fmu_outputs
+    unknowns = [entry for port in ports.values() for entry in port.entries]
+    if block.untraced()[0] or not (block.option.linear and description.states and description.is_affine(unknowns)):
+        return None
+    functions, moving, held = functions_of(block), moving_inputs(block), held_inputs(block)
+    fed = [concatenate([getattr(u, name) + _unfed(block, p, name, port)]) for name, port in moving.items()]
+    values = _values(block, p, held)
+    knowns = [*description.states, *(entry for port in moving.values() for entry in port.entries)]
+    rows = [*description.derivatives, *unknowns]
+    slopes = ca.reshape(functions.slopes(values), len(knowns), len(rows)).T
+    listed = [[description.follows(unknown, known) for known in knowns] for unknown in rows]
+    factors = slopes * ca.sparsify(ca.DM(listed))
+    column = factors @ ca.vertcat(x.states, *fed) + functions.forcing(t, values)
+    n_x = len(description.states)
+    parts = _split(column[n_x:], [len(port.entries) for port in ports.values()])
+    outputs = {name: unflatten(part, _two(ports[name].shape)) for name, part in zip(ports, parts, strict=True)}
+    return Equations(outputs, {"states": column[:n_x]})
 
 
 def _starts(self: Block, p: Any) -> dict[str, Any]:

@@ -33,6 +33,8 @@ KEPT_POINTS = (
     6  # values of all parameters, each with differences by every one, whose instances in this process are kept
 )
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
+PROBED = (1e-6, 1e-3, 1.0)  # of the nominal values of states, and of 1 of inputs: where linear equations are checked
+ROUNDED = 1e-12  # of sums that cancel
 CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
 
 
@@ -70,6 +72,8 @@ class FmuEquations:
         self._guarded = True
         self.seen = np.zeros(self.n_u + description.n_events)  # raw inputs, indicators, where x' was asked for last
         self._exact, self._checked = self._has_directional(), False
+        self._slopes: OrderedDict[bytes, np.ndarray] = OrderedDict()
+        self._is_linear = False  # as far as has been seen
         stated = [entry.variable.nominal for entry in description.resolve(description.states)]
         self._nominals = np.array([abs(value) if value else 1.0 for value in stated], float)
         entries = description.resolve(self.y_names)
@@ -134,6 +138,54 @@ class FmuEquations:
                     J[:, first + k] = np.nan
         return J
 
+    def slopes(self, p: np.ndarray) -> np.ndarray:
+        """Return the factors of states and inputs in x' and y of a linear FMU, (n_x + n_y, n_x + n_u).
+
+        Raises FmuError where x' and y are not linear after all, or have a time event.
+        """
+        key = p.tobytes()
+        if key not in self._slopes:
+            if len(self._slopes) >= KEPT_POINTS * (2 * self.n_p + 2):
+                self._slopes.popitem(last=False)
+            self._slopes[key] = self._slopes_at(p)
+        return self._slopes[key]
+
+    def _slopes_at(self, p: np.ndarray) -> np.ndarray:
+        point = [np.zeros(1), np.zeros(self.n_x), np.zeros(self.n_u), p]
+        with self._instance(p) as slave:
+            due = self._modes[id(slave)][1]
+            if np.isfinite(due):
+                raise slave.event_refused(f"has a time event at t = {due:.6g} s", 0.0)
+        if self._exact:
+            J = self._by_states_and_inputs(0.0, *point[1:])
+        else:  # of a linear function the difference over any step is its slope
+            sizes = [(1, k, self._scale(1, k, 0.0)) for k in range(self.n_x)]
+            sizes += [(2, k, 1.0) for k in range(self.n_u)]
+            J = np.stack([self._difference(point, *place, relative=1.0) for place in sizes], axis=1)
+        if not self._is_linear:
+            self._check_linear(J, p)
+        return J
+
+    def _check_linear(self, J: np.ndarray, p: np.ndarray) -> None:
+        """Once: raise FmuError where the factors do not give x' and y at states and inputs of several sizes."""
+        rest = self.both(0.0, np.zeros(self.n_x), np.zeros(self.n_u), p)
+        sizes = np.concatenate([self._nominals, np.ones(self.n_u)])
+        for size in PROBED:
+            point = size * sizes * np.where(np.arange(len(sizes)) % 2, -1.0, 1.0)
+            try:
+                found = self.both(0.0, point[: self.n_x], point[self.n_x :], p)
+            except RotorsimError:  # beyond what it is made for
+                continue
+            off = np.abs(found - rest - J @ point)
+            room = CHECKED * (np.abs(J) @ np.abs(point)) + ROUNDED * (np.abs(found) + np.abs(rest))
+            if (off > room).any():
+                name = [*self.description.derivatives, *self.y_names][int((off / room).argmax())]
+                what = f"says that {name} is linear in states and inputs, and it is not"
+                hint = 'tell its maker; "linear": false takes its equations as they are'
+                with self._instance(p) as slave:
+                    raise slave.step_failed("-", what, "refused", 0.0, hint)
+        self._is_linear = True
+
     def _by_states_and_inputs(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         n_x, n_u = self.n_x, self.n_u
         if not n_x + n_u:
@@ -174,12 +226,14 @@ class FmuEquations:
             what = "its directional derivatives are not those of its equations: central differences are taken"
             warnings.warn(f"{self.name}: {what}", RuntimeWarning, stacklevel=2)
 
-    def _difference(self, point: Sequence[np.ndarray], group: int, k: int, scale: float) -> np.ndarray:
+    def _difference(
+        self, point: Sequence[np.ndarray], group: int, k: int, scale: float, relative: float = RELATIVE_STEP
+    ) -> np.ndarray:
         """Return the central difference of x' and y over an entry of t, x, u or p."""
         ends = []
         for sign in (1.0, -1.0):
             moved = [part.copy() for part in point]
-            moved[group][k] += sign * RELATIVE_STEP * scale
+            moved[group][k] += sign * relative * scale
             ends.append((self.both(float(moved[0][0]), *moved[1:]), moved[group][k]))
         if group == 3:
             self.know(point[3], np.eye(self.n_p)[k], RELATIVE_STEP * scale)

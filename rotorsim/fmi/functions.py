@@ -16,7 +16,7 @@ import numpy as np
 
 from rotorsim.fmi.compiled import InC
 from rotorsim.fmi.equations import RELATIVE_STEP, FmuEquations
-from rotorsim.model.called import CALLED_AT, has_failed, note_failure, register
+from rotorsim.model.called import CALLED_AT, STEADY, has_failed, note_failure, register
 
 
 class _Function(ca.Callback):
@@ -29,6 +29,8 @@ class _Function(ca.Callback):
         """arguments: sizes of columns; results: shapes."""
         ca.Callback.__init__(self)
         self.arguments, self.results = tuple(arguments), tuple(results)
+        self.steady = STEADY in name
+        self._last: tuple[bytes, Sequence[np.ndarray]] | None = None
         self.native: Callable[[], None] | None = None
         self._parts: Sequence[np.ndarray] = ()
         self._found: Sequence[np.ndarray] = ()
@@ -67,8 +69,15 @@ class _Function(ca.Callback):
     def sound(self, arguments: Sequence[np.ndarray]) -> Sequence[np.ndarray]:
         """Return the results at arguments; what is not a number where something has failed."""
         try:
-            if not has_failed():
+            if has_failed():
+                pass
+            elif not self.steady:
                 return self.evaluate(*arguments)
+            else:
+                key = b"".join(map(bytes, arguments))
+                if self._last is None or self._last[0] != key:
+                    self._last = key, self.evaluate(*arguments)
+                return self._last[1]
         except BaseException as error:  # nothing may pass through CasADi, Ctrl-C neither
             note_failure(error)
         return [np.full(shape, np.nan) for shape in self.results]
@@ -114,6 +123,9 @@ _SUMS = {  # by t, x, u, p
 }
 
 
+_Key = tuple[str, tuple[int, ...] | None, tuple[bool, ...]]  # what it gives, rows, groups
+
+
 class _Called(_Function):
     """Some of x' and y of an FMU, or where it begins.
 
@@ -123,11 +135,16 @@ class _Called(_Function):
     def __init__(self, name: str, equations: FmuEquations, rows: Sequence[int] | None, groups: Sequence[bool]) -> None:
         self.equations, self.rows, self.groups = equations, None if rows is None else list(rows), tuple(groups)
         self.sizes = (1, equations.n_x, equations.n_u, equations.n_p)
-        self.size = equations.n_x if rows is None else len(rows)
+        self.size = self.size_of(equations) if rows is None else len(rows)
         self._derivatives: list[Any] = []  # CasADi does not hold them
         self._point: tuple[bytes, np.ndarray] = (b"", _NOTHING)
         own = [size if one else 0 for size, one in zip(self.sizes, groups, strict=True)]
         super().__init__(name, own, [(self.size, 1)], never_inline=True)
+
+    @staticmethod
+    def size_of(equations: FmuEquations) -> int:
+        """Return how many numbers it gives where they are not rows of x' and y."""
+        return equations.n_x
 
     def whole(self, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Return t, x, u, p; zeros for what is no argument."""
@@ -235,6 +252,17 @@ class _Called(_Function):
         return J
 
 
+class _Slopes(_Called):
+    """The factors of states and inputs in the rows of x' and y of a linear FMU, row by row, as a function of p."""
+
+    @staticmethod
+    def size_of(equations: FmuEquations) -> int:
+        return (equations.n_x + equations.n_y) * (equations.n_x + equations.n_u)
+
+    def _values(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
+        return self.equations.slopes(p).ravel()
+
+
 class _Forward(_Function):
     """The derivative of a function of an FMU in a direction; derivatives of it are central differences."""
 
@@ -270,18 +298,35 @@ class FmuFunctions:
 
     def __init__(self, equations: FmuEquations, identity: str) -> None:
         self.equations, self._identity = equations, identity
-        self._made: dict[tuple[str, tuple[int, ...] | None, tuple[bool, ...]], _Called] = {}
+        self._made: dict[_Key, _Called] = {}
 
     def call(self, what: str, rows: Sequence[int] | None, groups: Sequence[bool], arguments: Sequence[Any]) -> Any:
         """Return rows of x' and y (None: of where it begins) at expressions of t, x, u and p, a column."""
         key = what, None if rows is None else tuple(rows), tuple(groups)
+        return self._made_for(key, _Called)(*self._given(groups, arguments))
+
+    def slopes(self, p: Any) -> Any:
+        """Return the factors of states and inputs in x' and y of a linear FMU, row by row, a column."""
+        groups = (False, False, False, True)
+        return self._made_for(("slopes", None, groups), _Slopes)(*self._given(groups, (p,) * 4))
+
+    def forcing(self, t: Any, p: Any) -> Any:
+        """Return x' and y of a linear FMU where states and inputs are zero, a column."""
+        rows = range(self.equations.n_x + self.equations.n_y)
+        return self.call("forcing", rows, (self.equations.timed, False, False, True), (t,) * 3 + (p,))
+
+    @staticmethod
+    def _given(groups: Sequence[bool], arguments: Sequence[Any]) -> list[Any]:
+        return [value if one else ca.SX(0, 1) for value, one in zip(arguments, groups, strict=True)]
+
+    def _made_for(self, key: _Key, kind: type[_Called]) -> _Called:
         if key not in self._made:
             digest = hashlib.sha256(repr((self._identity, key)).encode()).hexdigest()[:16]
-            name = f"fmu_{what}_{digest}"
-            self._made[key] = made = _Called(name, self.equations, rows, groups)
+            steady = f"{STEADY}_" if key[2] == (False, False, False, True) else ""
+            name = f"fmu_{steady}{key[0]}_{digest}"
+            self._made[key] = made = kind(name, self.equations, *key[1:])
             made.answer_in_c(made, "values")
-        given = [value if one else ca.SX(0, 1) for value, one in zip(arguments, groups, strict=True)]
-        return self._made[key](*given)
+        return self._made[key]
 
 
 @lru_cache(maxsize=64)

@@ -16,6 +16,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.state_space import StateSpace, reached
 from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.model.linearity import jacobian
 from rotorsim.model.matrix_function import MatrixFunction
 
 TURN_SAMPLES = 64  # instants for averages over one turn
@@ -118,8 +119,8 @@ def jacobians(model: Model, outputs: tuple[str, ...] = ()) -> dict[str, MatrixFu
         y = ca.vertcat(ca.SX(0, 1), *[model.expression(name) for name in outputs])
         made = {"A": MatrixFunction(arguments, lambda: model.jacobian_expression)}
         for key, of, by in (("B", trace.xdot, trace.v), ("C", y, trace.x), ("D", y, trace.v)):
-            jacobian = ca.substitute(ca.jacobian(of, by), trace.v, ca.SX.zeros(*trace.v.shape))
-            made[key] = MatrixFunction(arguments, jacobian)
+            slopes = ca.substitute(jacobian(of, by), trace.v, ca.SX.zeros(*trace.v.shape))
+            made[key] = MatrixFunction(arguments, slopes)
         known[outputs] = made
         if outputs:  # the same for all outputs
             known[outputs] |= {key: jacobians(model)[key] for key in "AB"}

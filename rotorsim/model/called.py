@@ -13,6 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+STEADY = "steady"  # in the name of functions of parameters alone: what they gave last holds for the same arguments
 Address = ctypes.c_void_p
 CALLED = ctypes.CFUNCTYPE(None, Address, ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_double))
 CALLED_AT = ctypes.CFUNCTYPE(None, Address, Address, Address)  # the same with plain addresses

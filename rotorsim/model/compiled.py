@@ -16,7 +16,7 @@ from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.model.called import connect, forget_failures, raise_failure
 from rotorsim.model.emit.emit import Kernel, build_kernel, emit_c
 from rotorsim.model.emit.toolchain import Compiler, CompilerError, compile_c, compiler_error, find_compiler
-from rotorsim.model.linearity import is_affine
+from rotorsim.model.linearity import is_affine, jacobian
 from rotorsim.model.trace.diagram import Signal, Trace, flat_indices, trace_diagram
 
 
@@ -167,7 +167,7 @@ class Model:
     @cached_property
     def jacobian_expression(self) -> Any:
         """Sparse d(dx/dt)/dx as an expression of the trace's symbols."""
-        return ca.jacobian(self.closed(self.trace.xdot), self.trace.x)
+        return jacobian(self.closed(self.trace.xdot), self.trace.x)
 
     @cached_property
     def jacobian(self) -> ca.Function:
@@ -279,25 +279,27 @@ class Model:
         return self.trace.state_blocks[position]
 
 
-def compile_diagram(diagram: Diagram, *, inject: Iterable[str] = (), replace: Iterable[str] = ()) -> Model:
+def compile_diagram(
+    diagram: Diagram, *, inject: Iterable[str] = (), replace: Iterable[str] = (), called: bool = False
+) -> Model:
     """Trace a diagram and return its model; C is generated and compiled when first needed.
 
-    inject, replace: see `trace_diagram`. Raises RotorsimError.
+    inject, replace, called: see `trace_diagram`. Raises RotorsimError.
     """
-    return Model(diagram, trace_diagram(diagram, inject, replace))
+    return Model(diagram, trace_diagram(diagram, inject, replace, called=called))
 
 
-def model_for_runs(diagram: Diagram | Model) -> Model:
+def model_for_runs(diagram: Diagram | Model, *, called: bool = True) -> Model:
     """Return the model of a diagram, or one of names and values alone where a part hides its equations.
 
-    Raises RotorsimError.
+    called: opaque parts as they are at every instant, though they are said to be linear. Raises RotorsimError.
     """
     if isinstance(diagram, Model):
         return diagram
     opaque = {name: node for name, node in diagram.nodes.items() if node.block.opaque}
     hidden = tuple(name for name, node in opaque.items() if node.block.untraced()[0])
     if not hidden:
-        return compile_diagram(diagram)
+        return compile_diagram(diagram, called=called)
     theirs = [str(port) for node in opaque.values() for port in node.outputs.values()]
     model = Model(diagram, trace_diagram(diagram, replace=theirs, foreign=opaque))
     model.hidden = hidden

@@ -36,6 +36,20 @@ def is_affine(of: Any, by: Any) -> bool:
     return True
 
 
+def jacobian(of: Any, by: Any) -> Any:
+    """Return the sparse derivatives of an expression by symbols; what is called with others alone has none.
+
+    CasADi by itself goes on to differentiate such calls, of zeros, and the factors of a linear part seem to move.
+    """
+    of = ca.SX(of)
+    if not ca.Function("f", ca.symvar(of), [of]).get_function():
+        return ca.jacobian(of, by)
+    own = _hashes(by)
+    others = [symbol for symbol in ca.symvar(of) if symbol.element_hash() not in own]
+    rest, symbols, values = ca.extract_parametric(of, ca.vertcat(ca.SX(0, 1), *others))
+    return ca.substitute([ca.jacobian(rest, by)], symbols, values)[0]
+
+
 @dataclass(frozen=True, eq=False)
 class SemiLinear:
     """of = a + B [by; w], w = phi(by, fast, slow): what is linear in ``by``, and the laws of the rest.

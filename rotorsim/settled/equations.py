@@ -13,7 +13,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Free
 from rotorsim.linear.state_space import reached
 from rotorsim.model.compiled import Model
-from rotorsim.model.linearity import is_affine
+from rotorsim.model.linearity import is_affine, jacobian
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.slow_states import means_of
 
@@ -33,7 +33,7 @@ def _is_affine(model: Model, f: Any, g: Any) -> bool:
     varying = ca.vertcat(trace.x, trace.t, trace.v)
     if not is_affine(ca.vertcat(f, g), ca.vertcat(trace.x, trace.v)):
         return False
-    return not any(ca.depends_on(ca.jacobian(of, by), varying) for of in (f, g) for by in (trace.x, trace.v))
+    return not any(ca.depends_on(jacobian(of, by), varying) for of in (f, g) for by in (trace.x, trace.v))
 
 
 def without_inputs(model: Model, expression: Any) -> Any:
@@ -85,11 +85,11 @@ class Equations:
         y = ca.vertcat(*[model.expression(model.diagram.as_measured(name)) for name in outputs])
         with_inputs = self._with_values([trace.xdot, y], theta)
         self._affine = (model, *with_inputs)
-        B, D = (ca.jacobian(of, trace.v) for of in with_inputs)
+        B, D = (jacobian(of, trace.v) for of in with_inputs)
         f, g = ca.substitute(with_inputs, [trace.v], [ca.SX.zeros(*trace.v.shape)])
         self.kept = np.arange(model.n_x)
         if not every_state:
-            self.kept = reached_states(ca.jacobian(f, trace.x).sparsity(), ca.jacobian(g, trace.x).sparsity())
+            self.kept = reached_states(jacobian(f, trace.x).sparsity(), jacobian(g, trace.x).sparsity())
         keep = self.kept.tolist()
         x = ca.SX.sym("x", len(keep))
         whole: Any = ca.SX(model.x0(model.p0))
@@ -185,15 +185,15 @@ class PortEquations:
 
     def __init__(self, symbols: tuple[Any, Any, Any], x: Any, f: Any, g: Any, B: Any, D: Any) -> None:
         self.symbols, self.x, self.rates, self.outputs = symbols, x, f, g
-        self.df_dx, self.dg_dx, self.df_dv, self.dg_dv = ca.jacobian(f, x), ca.jacobian(g, x), B, D
+        self.df_dx, self.dg_dx, self.df_dv, self.dg_dv = jacobian(f, x), jacobian(g, x), B, D
         self.r, self.n, self.c, self.m = f.numel(), x.numel(), g.numel(), symbols[2].numel()
         self.samples = FIRST_SAMPLES
         t, p, theta = symbols
         points = [t, x, p, theta]
         self.f, self.g = MatrixFunction(points, f), MatrixFunction(points, g)
         self.J, self.C = MatrixFunction(points, self.df_dx), MatrixFunction(points, self.dg_dx)
-        self.f_theta = MatrixFunction(points, lambda: ca.jacobian(f, theta))
-        self.g_theta = MatrixFunction(points, lambda: ca.jacobian(g, theta))
+        self.f_theta = MatrixFunction(points, lambda: jacobian(f, theta))
+        self.g_theta = MatrixFunction(points, lambda: jacobian(g, theta))
         self.f_rows = MatrixFunction(points, lambda: f[self.places[0].tolist(), :])
         self.J_part = MatrixFunction(points, lambda: self.df_dx[self.places[0].tolist(), self.places[1].tolist()])
 
@@ -207,10 +207,10 @@ class PortEquations:
         """A, B, C, D of linear equations."""
         _, p, theta = self.symbols
         made = {}
-        for key, jacobian in zip("ABCD", (self.df_dx, self.df_dv, self.dg_dx, self.dg_dv), strict=True):
-            matrix = ca.sparsify(jacobian)
+        for key, slopes in zip("ABCD", (self.df_dx, self.df_dv, self.dg_dx, self.dg_dv), strict=True):
+            matrix = ca.sparsify(slopes)
             nonzeros = matrix.nz[:] if matrix.nnz() else ca.SX(0, 1)
-            derivative = MatrixFunction([p, theta], ca.jacobian(nonzeros, theta))
+            derivative = MatrixFunction([p, theta], jacobian(nonzeros, theta))
             made[key] = _Matrix(MatrixFunction([p, theta], matrix), derivative)
         return made
 
@@ -219,7 +219,7 @@ class PortEquations:
         zero = ca.SX.zeros(*self.x.shape)
         rest = ca.substitute([self.rates, self.outputs], [self.x], [zero])
         theta = self.symbols[2]
-        return [tuple(MatrixFunction(self.symbols, e) for e in (at, ca.jacobian(at, theta))) for at in rest]  # type: ignore[misc]
+        return [tuple(MatrixFunction(self.symbols, e) for e in (at, jacobian(at, theta))) for at in rest]  # type: ignore[misc]
 
     def at_rest(self, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Return [f; g] at rest at times (R, N), for p (R, n_p), theta (R, m): (R, N, r + c)."""

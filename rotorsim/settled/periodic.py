@@ -17,6 +17,7 @@ from rotorsim.linear import linearisation as linear
 from rotorsim.linear.eigenmodes import checked_speeds, require_speed
 from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.model.input_limits import input_limits, passed_limit
+from rotorsim.model.linearity import jacobian
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.balance import harmonics_of, samples_of
 from rotorsim.settled.continuation import Orbits, Settings, Setup, orbits
@@ -69,7 +70,7 @@ def periodic(
     Source: Cameron & Griffin, J. Appl. Mech. 56 (1989) 149-154; Krack & Gross, Harmonic Balance for Nonlinear
     Vibration Problems (2019), ch. 2-4.
     """
-    model = model_for_runs(diagram)
+    model = model_for_runs(diagram, called=False)
     if not model.hidden:
         model = linear.as_model(model)
         linear.refuse_sampled(model, "periodic")
@@ -233,11 +234,11 @@ class _Outputs:
     @cached_property
     def _linear(self) -> bool:
         trace = self.model.trace
-        return not ca.depends_on(ca.jacobian(self._y, trace.x), ca.vertcat(trace.x, trace.t))
+        return not ca.depends_on(jacobian(self._y, trace.x), ca.vertcat(trace.x, trace.t))
 
     @cached_property
     def _matrix(self) -> MatrixFunction:
-        return self._function(ca.jacobian(self._y, self.model.trace.x))
+        return self._function(jacobian(self._y, self.model.trace.x))
 
     @cached_property
     def _values(self) -> MatrixFunction:

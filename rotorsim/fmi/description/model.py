@@ -185,9 +185,10 @@ class ModelDescription:
 
     states, derivatives: names of the entries of x and of its derivative, in the order of the FMU. outputs: names as
     the model structure lists them. dependencies: output or derivative -> the variables it depends on directly
-    (None: on all). platforms: folders with a library for the kind asked. items: names of the values of each type that
-    enumerates. sizes: values of structural parameters that are not their start values; the arrays have their shapes.
-    unlisted: arrays that the FMU has and does not name: the states of FMI 1.0 and their derivatives.
+    (None: on all); factors: those of them that it is proportional to, by factors that change at events at most.
+    platforms: folders with a library for the kind asked. items: names of the values of each type that enumerates.
+    sizes: values of structural parameters that are not their start values; the arrays have their shapes. unlisted:
+    arrays that the FMU has and does not name: the states of FMI 1.0 and their derivatives.
     """
 
     version: str  # "1.0", "2.0" or "3.0"
@@ -200,6 +201,7 @@ class ModelDescription:
     outputs: tuple[str, ...] = ()
     initial_unknowns: tuple[str, ...] = ()
     dependencies: Mapping[str, tuple[str, ...] | None] = field(default_factory=dict)
+    factors: Mapping[str, frozenset[str]] = field(default_factory=dict)
     n_events: int = 0  # event indicators
     units: Mapping[str, FmuUnit] = field(default_factory=dict)
     experiment: Experiment = field(default_factory=Experiment)
@@ -253,7 +255,7 @@ class ModelDescription:
         return found
 
     def follows(self, unknown: str, name: str) -> bool:
-        """Return whether an output follows an input at once, as the model structure says (not said: it does).
+        """Return whether an unknown follows a variable at once, as the model structure says (not said: it does).
 
         Of variables inside, which the structure does not list, nothing is said.
         """
@@ -261,6 +263,21 @@ class ModelDescription:
         inside = self.resolve([unknown])[0].variable.causality == "local"
         known = self.dependencies.get(unknown, self.dependencies.get(base, None if inside else ()))
         return known is None or name in known or name.partition("[")[0] in known
+
+    def is_affine(self, outputs: Iterable[str]) -> bool:
+        """Return whether derivatives and outputs are said to be linear in states and inputs, with factors that rest.
+
+        An FMU with event indicators, or that wants to be told of completed steps, may change its factors there.
+        """
+        if self.n_events or "me" not in self.kinds or self.kinds["me"].completed_step_needed:
+            return False
+        moving = {entry.variable.name for entry in self.resolve(self.states)}
+        moving |= {variable.name for variable in self.by_causality("input")}
+        for unknown in {entry.variable.name for entry in self.resolve([*self.derivatives, *outputs])}:
+            known = self.dependencies.get(unknown)
+            if known is None or not moving.intersection(known) <= self.factors[unknown]:
+                return False
+        return True
 
     def unit_of(self, variable: FmuVariable) -> FmuUnit | None:
         """Return the unit of a variable, or None where it has none, or one that is neither defined nor known.

@@ -22,6 +22,7 @@ _GROUPS = {  # of the model structure: in FMI 2.0, in FMI 3.0
     "derivatives": ("Derivatives", "ContinuousStateDerivative"),
     "initial_unknowns": ("InitialUnknowns", "InitialUnknown"),
 }
+_DEPENDENCY_KINDS = {"constant": True, "fixed": True, "tunable": True, "discrete": False, "dependent": False}
 _SKIP = frozenset({"Annotations", "VendorAnnotations", "Tool"})
 
 
@@ -167,12 +168,15 @@ def _model_structure(group: Element, reader: VariableReader, mistakes: Mistakes)
     """Return what `ModelDescription` takes of <ModelStructure>: names of unknowns, states, dependencies, n_events."""
     listed: dict[str, tuple[str, ...]] = {}
     dependencies: dict[str, tuple[str, ...] | None] = {}
+    factors: dict[str, frozenset[str]] = {}
     for key, (old, new) in _GROUPS.items():
         elements = group.all(new) if reader.three else (u for e in group.all(old) for u in e.all("Unknown"))
         unknowns = [(element, _unknown(element, reader, mistakes)) for element in elements]
         listed[key] = tuple(name for _, name in unknowns if name)
         if key != "initial_unknowns":
-            dependencies |= {name: _dependencies(e, name, reader, mistakes) for e, name in unknowns if name}
+            found = {name: _dependencies(e, name, reader, mistakes) for e, name in unknowns if name}
+            dependencies |= {name: None if known is None else tuple(known) for name, known in found.items()}
+            factors |= {name: frozenset(k for k, own in (known or {}).items() if own) for name, known in found.items()}
     rates = [reader.variables[name] for name in listed["derivatives"]]
     states = []
     for rate in rates:
@@ -186,6 +190,7 @@ def _model_structure(group: Element, reader: VariableReader, mistakes: Mistakes)
     return {
         **listed,
         "dependencies": dependencies,
+        "factors": factors,
         "states": tuple(name for state in states for name in state.names()),
         "derivatives": tuple(name for rate in rates for name in rate.names()),
         "n_events": sum(variable.size for variable in events if variable is not None),
@@ -201,13 +206,21 @@ def _unknown(element: Element, reader: VariableReader, mistakes: Mistakes) -> st
     return variable.name if variable else ""
 
 
-def _dependencies(element: Element, subject: str, reader: VariableReader, mistakes: Mistakes) -> tuple[str, ...] | None:
-    """Return the variables that an unknown depends on, None: not said."""
+def _dependencies(element: Element, subject: str, reader: VariableReader, mistakes: Mistakes) -> dict[str, bool] | None:
+    """Return the variables that an unknown depends on, and whether by a factor that does not move; None: not said."""
     if "dependencies" not in element.attributes:
         return None
-    known = {word: reader.at(reference_in(word)) for word in element.get("dependencies").split()}
+    words = element.get("dependencies").split()
+    known = {word: reader.at(reference_in(word)) for word in words}
+    kinds = element.get("dependenciesKind").split() or ["dependent"] * len(words)
+    odd = next((kind for kind in kinds if kind not in _DEPENDENCY_KINDS), None)
+    if odd is not None or len(kinds) != len(words):
+        what = f"'{odd[:40]}' is not one" if odd is not None else f"{len(kinds)} for {len(words)} dependencies"
+        mistakes.wrong(element, f"dependenciesKind: {what}", subject)
+        return None
     wrong = next((word for word, variable in known.items() if variable is None), None)
     if wrong is not None:
         mistakes.wrong(element, f"depends on '{wrong[:40]}', which is not a variable", subject)
         return None
-    return tuple(variable.name for variable in known.values() if variable)
+    constant = {word for word, kind in zip(words, kinds, strict=True) if _DEPENDENCY_KINDS[kind]}
+    return {variable.name: word in constant for word, variable in known.items() if variable}

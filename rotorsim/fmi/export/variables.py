@@ -133,7 +133,7 @@ def make_interface(
     for name, signal in part.inputs.items():
         collector.add_port(name, INPUT, signal.shape, signal.unit, start=np.zeros(size_of(signal.shape)))
     x_const, z_const = (_constant_entries(e) for e in (part.trace.x0, part.trace.z0))
-    dependencies = find_dependencies(part, record, x_const, z_const)
+    dependencies = find_dependencies(part, record, x_const, z_const, all(parameter.fixed for parameter in parameters))
     at = 0
     for name in record:
         shape, unit = part.shape_of(name), part.select(name)[0].unit

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement
 
 from rotorsim.fmi.description.xml_writer import plain_text, write_base_unit, xml_bytes
+from rotorsim.fmi.export.dependencies import CONSTANT, DEPENDENT, FIXED, TUNABLE
 from rotorsim.fmi.export.variables import (
     DERIVATIVE,
     DISCRETE,
@@ -33,6 +34,7 @@ _TAGS3 = {
     "InitialUnknown": "initial",
     "EventIndicator": "events",
 }
+_WEAKER = (CONSTANT, FIXED, TUNABLE, DEPENDENT)
 _CAUSALITY = {PARAMETER: "parameter", INPUT: "input", OUTPUT: "output"}
 
 
@@ -185,8 +187,8 @@ def _indices(interface: Interface) -> dict[int, int]:
 # ---- model structure ----
 
 
-def _unknowns(interface: Interface, version: str) -> dict[str, list[tuple[int, list[int]]]]:
-    """Return outputs, derivatives, initial unknowns and events: reference, and the references it depends on.
+def _unknowns(interface: Interface, version: str) -> dict[str, list[tuple[int, dict[int, str]]]]:
+    """Return outputs, derivatives, initial unknowns and events: reference, and those it depends on with their kind.
 
     Parameters are knowns at the start; in FMI 3.0 always, and what is not listed has derivative zero (2.4.8).
     """
@@ -214,18 +216,21 @@ def _unknowns(interface: Interface, version: str) -> dict[str, list[tuple[int, l
     def set_by(places: Iterable[int]) -> list[int]:
         return [reference for place in places for reference in setting.get(place, ())]
 
-    moving = [sorted(known(c) for c in columns) for columns in found.by_column]
+    moving = [
+        {known(c): kinds.get(c, DEPENDENT) for c in columns}
+        for columns, kinds in zip(found.by_column, found.kinds, strict=True)
+    ]
     if version == "3.0":
-        moving = [sorted({*row, *set_by(p)}) for row, p in zip(moving, found.by_parameter, strict=True)]
+        moving = [row | dict.fromkeys(set_by(p), DEPENDENT) for row, p in zip(moving, found.by_parameter, strict=True)]
     calculated = [k for k in range(n_x) if not interface.x_exact[k]]
     return {
         "outputs": [(at[OUTPUT] + k, moving[n_x + k]) for k in range(n_y)],
         "derivatives": [(at[DERIVATIVE] + k, moving[k]) for k in range(n_x)],
         "events": [(at[EVENT] + k, moving[n_x + n_y + k]) for k in range(interface.count(EVENT))],
         "initial": [
-            *((at[OUTPUT] + k, sorted(set(at_start(n_x + k)))) for k in range(n_y)),
-            *((at[STATE] + k, sorted(set(at_start(n_x + n_y + k)))) for k in calculated),
-            *((at[DERIVATIVE] + k, sorted(set(at_start(k)))) for k in range(n_x)),
+            *((at[OUTPUT] + k, dict.fromkeys(at_start(n_x + k), DEPENDENT)) for k in range(n_y)),
+            *((at[STATE] + k, dict.fromkeys(at_start(n_x + n_y + k), DEPENDENT)) for k in calculated),
+            *((at[DERIVATIVE] + k, dict.fromkeys(at_start(k), DEPENDENT)) for k in range(n_x)),
         ],
     }
 
@@ -238,17 +243,27 @@ def _structure(parent: Element, interface: Interface, version: str) -> None:
         for tag, key in (("Outputs", "outputs"), ("Derivatives", "derivatives"), ("InitialUnknowns", "initial")):
             group = SubElement(parent, tag) if unknowns[key] else parent
             for reference, knowns in unknowns[key]:
-                dependencies = " ".join(str(index[k]) for k in knowns if k)
-                SubElement(group, "Unknown", index=str(index[reference]), dependencies=dependencies)
+                listed = {index[k]: kind for k, kind in knowns.items() if k}
+                SubElement(group, "Unknown", {"index": str(index[reference]), **_listed(listed)})
         return
     owner = _owners(interface)
     for tag, key in _TAGS3.items():
-        joined: dict[int, set[int]] = {}
+        joined: dict[int, dict[int, set[str]]] = {}
         for reference, knowns in unknowns[key]:
-            joined.setdefault(owner[reference], set()).update(owner[k] for k in knowns)
+            row = joined.setdefault(owner[reference], {})
+            for k, kind in knowns.items():
+                row.setdefault(owner[k], set()).add(kind)
         for reference, known in joined.items():
-            dependencies = " ".join(map(str, sorted(known)))
-            SubElement(parent, tag, valueReference=str(reference), dependencies=dependencies)
+            weakest = {k: max(kinds, key=_WEAKER.index) for k, kinds in known.items()}
+            SubElement(parent, tag, {"valueReference": str(reference), **_listed(weakest)})
+
+
+def _listed(knowns: Mapping[int, str]) -> dict[str, str]:
+    """Return the attributes that list what an unknown depends on; no kinds where nothing is known of any."""
+    places = sorted(knowns)
+    kinds = [knowns[k] for k in places]
+    listed = {"dependencies": " ".join(map(str, places))}
+    return listed | ({"dependenciesKind": " ".join(kinds)} if {*kinds} - {DEPENDENT} else {})
 
 
 def _owners(interface: Interface) -> dict[int, int]:

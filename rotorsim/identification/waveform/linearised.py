@@ -21,6 +21,7 @@ from rotorsim.identification.waveform.driven.equations import DrivenEquations, d
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 from rotorsim.linear.sampled import outputs, recursion, zero_order_hold
+from rotorsim.model.linearity import jacobian
 from rotorsim.model.matrix_function import MatrixFunction
 
 CONSTANT = 1e-9  # relative: Jacobians that change less along all runs are those of a linear diagram
@@ -256,7 +257,7 @@ class _About:
         _, x, v, _ = arguments = equations.arguments
         self.added, self.n = v.numel() - given, x.numel()
         pairs = ((of, by) for of in (equations.f, equations.g) for by in (x, v[given:]))
-        self._jacobians = [MatrixFunction(arguments, ca.jacobian(of, by)) for of, by in pairs]
+        self._jacobians = [MatrixFunction(arguments, jacobian(of, by)) for of, by in pairs]
         self._motion = [  # f or g, then its derivatives by x and by the parameters
             MatrixFunction(arguments, ca.horzcat(of, equations.jacobian(of))) for of in (equations.f, equations.g)
         ]

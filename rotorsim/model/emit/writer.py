@@ -9,6 +9,7 @@ from typing import Any
 
 import casadi as ca
 
+from rotorsim.model.called import STEADY
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 
@@ -166,9 +167,14 @@ class Writer:
             return f"  const double v{number} = {self._expression(number, operand)};"
         given = ", ".join(map(operand, call.operands)) or "0.0"
         which, size = self.called.index(call.name), max(call.function.nnz_out(), 1)
-        return (
-            f"  const double a{number}[] = {{{given}}};\n  double v{number}[{size}];\n"
-            f"  rs_called[{which}].function(rs_called[{which}].context, a{number}, v{number});"
+        asked = f"rs_called[{which}].function(rs_called[{which}].context, a{number}, v{number});"
+        if STEADY not in call.name:
+            return f"  const double a{number}[] = {{{given}}};\n  double v{number}[{size}];\n  {asked}"
+        return (  # with what is not a number something has failed
+            f"  const double a{number}[] = {{{given}}};\n  static double l{number}[{max(len(call.operands), 1)}];\n"
+            f"  static double v{number}[{size}] = {{NAN}};\n"
+            f"  if (isnan(v{number}[0]) || memcmp(a{number}, l{number}, sizeof l{number})) {{\n"
+            f"    {asked}\n    memcpy(l{number}, a{number}, sizeof l{number});\n  }}"
         )
 
     def _expression(self, number: int, operand: Callable[[int], str]) -> str:

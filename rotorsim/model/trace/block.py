@@ -79,8 +79,10 @@ def trace_block(
     parameters: Mapping[str, Shape],
     states: Mapping[str, Shape],
     randoms: Mapping[str, Shape],
+    *,
+    called: bool = False,
 ) -> BlockTrace:
-    """Trace the equations of a block with resolved shapes.
+    """Trace the equations of a block with resolved shapes; called: as they are, though it is said to be linear.
 
     inputs holds only ports that are wired, additive or cut; an optional port that is missing becomes None.
     Raises TraceError when outputs, derivatives or updates are missing, unknown or of a wrong shape.
@@ -100,7 +102,7 @@ def trace_block(
     p = SimpleNamespace(**{name: unflatten(symbol, parameters[name]) for name, symbol in flat_p.items()})
     shapes = {**states, **randoms}
     x = SimpleNamespace(**{name: unflatten(symbol, shapes[name]) for name, symbol in {**flat_x, **flat_r}.items()})
-    equations = block.equations(p, u, x, time)
+    equations = (None if called else block.linear_equations(p, u, x, time)) or block.equations(p, u, x, time)
 
     given: dict[str, Any] = {}
     for name, output in block.outputs.items():

@@ -116,9 +116,9 @@ def _signal(name: str, shape: Shape, unit: str | None, start: int = 0) -> Signal
 class _Tracer:
     """Puts block traces together along the wires of one diagram."""
 
-    def __init__(self, diagram: Diagram, inject: Iterable[str], replace: Iterable[str]) -> None:
+    def __init__(self, diagram: Diagram, inject: Iterable[str], replace: Iterable[str], called: bool) -> None:
         self.diagram = diagram
-        self.traces: Mapping[str, BlockTrace] = block_traces(diagram)
+        self.traces: Mapping[str, BlockTrace] = block_traces(diagram, called=called)
         self.t = ca.SX.sym("t")
         self.p, self.x, self.z, self.w, self.v = _Layout(), _Layout(), _Layout(), _Layout(), _Layout()
         self.arguments: dict[str, dict[str, Any]] = {}
@@ -253,18 +253,23 @@ class _Tracer:
 
 
 def trace_diagram(
-    diagram: Diagram, inject: Iterable[str] = (), replace: Iterable[str] = (), foreign: Iterable[str] = ()
+    diagram: Diagram,
+    inject: Iterable[str] = (),
+    replace: Iterable[str] = (),
+    foreign: Iterable[str] = (),
+    *,
+    called: bool = False,
 ) -> Trace:
     """Trace a diagram.
 
     inject, replace: output ports ("controller.current") whose consumers see the port's value plus an
     external input, or only the external input (the loop is opened there). An input ("rotor.force") can be injected
     into as well, unless an output of the block has its name. foreign: opaque blocks that are run elsewhere.
-    Raises RotorsimError.
+    called: opaque blocks as they are, though they are said to be linear. Raises RotorsimError.
     """
     replace = tuple(replace)
     _refuse_opaque(diagram, set(foreign))
-    tracer = _Tracer(diagram, inject, replace)
+    tracer = _Tracer(diagram, inject, replace, called)
     signals, residuals = tracer.propagate(evaluation_order(diagram, tracer.replace), tracer.output)
 
     shown = {f"{block}.{port}": value for (block, port), value in signals.items()}

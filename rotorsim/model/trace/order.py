@@ -21,16 +21,18 @@ Feedthrough = Mapping[str, Mapping[str, Iterable[str]]]
 Shapes = tuple[tuple[str, Any], ...]
 CACHED_TRACES = 256  # traces of blocks; a diagnosis loads hundreds of diagrams that differ in one block
 SHOWN_HOPS = 20  # at the start and at the end of a loop
-_TRACES: WeakKeyDictionary[Diagram, dict[str, BlockTrace]] = WeakKeyDictionary()
+_TRACES: WeakKeyDictionary[Diagram, dict[bool, dict[str, BlockTrace]]] = WeakKeyDictionary()
 
 
-def block_traces(diagram: Diagram) -> Mapping[str, BlockTrace]:
+def block_traces(diagram: Diagram, *, called: bool = False) -> Mapping[str, BlockTrace]:
     """Return the trace of every block (like blocks share one, of other diagrams too), kept as long as the diagram.
 
-    Raises RotorsimError with all blocks whose equations fail.
+    called: opaque blocks as they are called, though they are said to be linear. Raises RotorsimError with all blocks
+    whose equations fail.
     """
-    if diagram in _TRACES:
-        return _TRACES[diagram]
+    kept = _TRACES.setdefault(diagram, {})
+    if called in kept:
+        return kept[called]
     wired = {(wire.target.block, wire.target.port) for wire in diagram.wires} | diagram.cut
     traces: dict[str, BlockTrace] = {}
     problems: list[Problem] = []
@@ -43,12 +45,12 @@ def block_traces(diagram: Diagram) -> Mapping[str, BlockTrace]:
         each = [tuple(s.items()) for s in (inputs, outputs, shapes, node.state_shapes, node.random_shapes)]
         try:
             options = repr(sorted(vars(node.block.option).items()))
-            traces[name] = _traced(_Like(node.block, type(node.block), options, node.block.wired), *each)
+            traces[name] = _traced(_Like(node.block, type(node.block), options, node.block.wired, called), *each)
         except Exception as error:  # the equations are foreign code
             problems.append(_failed(node, error))
     if problems:
         raise RotorsimError(*problems)
-    _TRACES[diagram] = traces
+    kept[called] = traces
     return traces
 
 
@@ -60,13 +62,15 @@ class _Like:
     kind: type[Block]
     options: str
     wired: frozenset[str]
+    called: bool
 
 
 @lru_cache(maxsize=CACHED_TRACES)
 def _traced(
     like: _Like, inputs: Shapes, outputs: Shapes, parameters: Shapes, states: Shapes, randoms: Shapes
 ) -> BlockTrace:
-    return trace_block(like.block, *(dict(shapes) for shapes in (inputs, outputs, parameters, states, randoms)))
+    shapes = (dict(one) for one in (inputs, outputs, parameters, states, randoms))
+    return trace_block(like.block, *shapes, called=like.called)
 
 
 def _failed(node: Node, error: Exception) -> Problem:

@@ -17,7 +17,7 @@ from rotorsim.identification.waveform.driven.domain import AT_ZERO, continued
 from rotorsim.identification.waveform.driven.slow_modes import reduced
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
-from rotorsim.model.linearity import is_affine
+from rotorsim.model.linearity import is_affine, jacobian
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.equations import reached_states, slots_of
 
@@ -129,7 +129,7 @@ class DrivenEquations:
         """State -> output and factor, where an output is a constant times one state and nothing else."""
         x, measured = self.arguments[1], {}
         for output, y in zip(self.outputs, ca.vertsplit(self.g), strict=True):
-            row = ca.sparsify(ca.jacobian(y, x))
+            row = ca.sparsify(jacobian(y, x))
             if row.nnz() == 1 and row.nz[0].is_constant() and output not in self.inputs:
                 [k], factor = row.sparsity().get_triplet()[1], float(row.nz[0])
                 if (y - factor * x[k]).is_zero():
@@ -154,7 +154,7 @@ class DrivenEquations:
     def matrices(self) -> tuple[MatrixFunction, MatrixFunction]:
         """The Jacobians of f and g by x, (1, n, n) and (1, c, n), as functions of t, x, v, p."""
         given, x = self.arguments, self.arguments[1]
-        return MatrixFunction(given, ca.jacobian(self.f, x)), MatrixFunction(given, ca.jacobian(self.g, x))
+        return MatrixFunction(given, jacobian(self.f, x)), MatrixFunction(given, jacobian(self.g, x))
 
     @cached_property
     def linear(self) -> MatrixFunction | None:
@@ -166,17 +166,17 @@ class DrivenEquations:
         of, by = ca.vertcat(self.f, self.g), ca.vertcat(x, v)
         if not is_affine(of, by):
             return None
-        L = ca.horzcat(ca.jacobian(of, by), ca.substitute(of, by, ca.SX.zeros(by.numel())))
+        L = ca.horzcat(jacobian(of, by), ca.substitute(of, by, ca.SX.zeros(by.numel())))
         if ca.depends_on(L, ca.vertcat(by, t)):
             return None
-        slopes = [sum((ca.jacobian(ca.vec(L), p[slot]) for slot in own), ca.SX(L.numel(), 1)) for own in self.slots]
+        slopes = [sum((jacobian(ca.vec(L), p[slot]) for slot in own), ca.SX(L.numel(), 1)) for own in self.slots]
         return MatrixFunction([p], ca.horzcat(L, *(ca.reshape(one, *L.shape) for one in slopes)))
 
     def jacobian(self, of: Any) -> Any:
         """Return the sparse Jacobian of an expression (k,) by x, then by the m parameters, (k, n + m)."""
         _, x, _, p = self.arguments
-        by_slots = [sum((ca.jacobian(of, p[slot]) for slot in own), ca.SX(*of.shape)) for own in self.slots]
-        return ca.sparsify(ca.horzcat(ca.jacobian(of, x), *by_slots))
+        by_slots = [sum((jacobian(of, p[slot]) for slot in own), ca.SX(*of.shape)) for own in self.slots]
+        return ca.sparsify(ca.horzcat(jacobian(of, x), *by_slots))
 
     def parameters(self, p: np.ndarray, theta: np.ndarray, *, continued: bool = False) -> np.ndarray:
         """Return p of the equations from p (n_p,) of the model and the m free parameters.
@@ -233,7 +233,7 @@ def driven_equations(
                 driven[model.parameters[parameter].start + k] = v[inputs.index(name)]
     y = ca.vertcat(*[measured_expression(model, name) for name in outputs])
     xdot, y = ca.substitute([trace.xdot, y], [trace.v], [external])
-    kept = reached_states(ca.jacobian(xdot, trace.x).sparsity(), ca.jacobian(y, trace.x).sparsity())
+    kept = reached_states(jacobian(xdot, trace.x).sparsity(), jacobian(y, trace.x).sparsity())
     keep = kept.tolist()
     begins = {keep.index(k): value for k, value in _beginnings(model).items() if k in keep}
     x = ca.SX.sym("x", len(keep))

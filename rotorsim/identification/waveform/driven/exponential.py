@@ -31,7 +31,7 @@ from rotorsim.identification.waveform.driven.source import source_of
 from rotorsim.linear.sampled import MOST_DOUBLINGS, Tangent, phi_functions
 from rotorsim.model.called import connect, forget_failures, raise_failure
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
-from rotorsim.model.linearity import semi_linear
+from rotorsim.model.linearity import jacobian, semi_linear
 from rotorsim.model.matrix_function import MatrixFunction
 
 STEP_DIGITS = 12  # of a step: the rest is rounding
@@ -183,10 +183,10 @@ class Split:
         if laws > MOST_LAWS_OF_STATES * eq.n:
             return None
         still = ca.substitute(found.of, ca.vertcat(x, found.w), ca.SX.zeros(eq.n + found.w.numel()))
-        L = ca.sparsify(ca.horzcat(ca.jacobian(found.of, x), ca.jacobian(found.of, found.w), still))
+        L = ca.sparsify(ca.horzcat(jacobian(found.of, x), jacobian(found.of, found.w), still))
         there = {symbol.element_hash() for symbol in ca.symvar(L)}
         used = tuple(k for k in slow if v[k].element_hash() in there)
-        slopes = ca.jacobian(L.nz[:], p[[slot for own in eq.slots for slot in own]])
+        slopes = jacobian(L.nz[:], p[[slot for own in eq.slots for slot in own]])
         ends = np.cumsum([0, *map(len, eq.slots)]).tolist()
         by = (ca.sum2(slopes[:, first:last]) for first, last in pairwise(ends))
         whole = ca.horzcat(L, *(ca.SX(L.sparsity(), ca.densify(one)) for one in by))

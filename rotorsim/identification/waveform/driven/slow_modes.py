@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import qr, schur
 
+from rotorsim.model.linearity import jacobian
 from rotorsim.model.matrix_function import MatrixFunction
 
 
@@ -43,7 +44,7 @@ def reduced(
     if not places:
         return None
     n, q, rate = x.numel(), [k for k, _ in places], [j for _, j in places]
-    matrix = MatrixFunction([t, x, v, p], ca.jacobian(f[rate], x[q]))
+    matrix = MatrixFunction([t, x, v, p], jacobian(f[rate], x[q]))
     K = -matrix(0.0, np.zeros(n), np.zeros(v.numel()), p0)[0]
     _, first, count = schur(K, sort=lambda re, im: np.hypot(re, im) < limit**2)
     _, second, rest = schur(K, sort=lambda re, im: np.hypot(re, im) >= limit**2)
@@ -81,10 +82,10 @@ def reduced(
 
 def _pairs(f: Any, x: Any) -> list[tuple[int, int]]:
     """Return pairs of states of which the second is the rate of the first, and has a rate that is no state."""
-    jacobian = ca.sparsify(ca.jacobian(f, x))
+    slopes = ca.sparsify(jacobian(f, x))
     found = []
     for k in range(x.numel()):
-        row = jacobian[k, :]
+        row = slopes[k, :]
         if row.nnz() == 1:
             [j] = row.sparsity().get_triplet()[1]
             if (f[k] - x[j]).is_zero():
