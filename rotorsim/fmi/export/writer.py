@@ -64,6 +64,8 @@ def build_description(interface: Interface, sources: Sequence[str], options: str
 
 
 def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
     return value if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]
 
 
@@ -90,22 +92,24 @@ def _root(interface: Interface, version: str, token: str) -> Element:
 def _kinds(root: Element, interface: Interface, version: str, sources: Sequence[str]) -> None:
     two = version == "2.0"
     state = "FMUstate" if two else "FMUState"
+    alone = _text(not interface.nested)  # states and derivatives of FMUs inside are not passed on
     more = (
-        {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
+        {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": alone}
         if two
-        else {"providesDirectionalDerivatives": "true", "providesAdjointDerivatives": "true"}
+        else {"providesDirectionalDerivatives": alone, "providesAdjointDerivatives": alone}
     )
     common = {
         "modelIdentifier": interface.identifier,
-        "canBeInstantiatedOnlyOncePerProcess": "false",
-        f"canGetAndSet{state}": "true",
-        f"canSerialize{state}": "true",
+        "canBeInstantiatedOnlyOncePerProcess": _text(any(one.kind.once_per_process for one in interface.nested)),
+        f"canGetAndSet{state}": alone,
+        f"canSerialize{state}": alone,
         **more,
     }
-    varies = {"canHandleVariableCommunicationStepSize": "true", "maxOutputDerivativeOrder": "1"}
+    order = "0" if interface.nested else "1"
+    varies = {"canHandleVariableCommunicationStepSize": "true", "maxOutputDerivativeOrder": order}
     internal = {"fixedInternalStepSize": _text(interface.part.diagram.solver.step)}
     own = {
-        "ModelExchange": {"completedIntegratorStepNotNeeded": "true"} if two else {},
+        "ModelExchange": _steps(interface, two),
         "CoSimulation": varies | ({"canInterpolateInputs": "true"} if two else internal),
     }
     for tag, given in own.items():
@@ -113,6 +117,14 @@ def _kinds(root: Element, interface: Interface, version: str, sources: Sequence[
         files = SubElement(kind, "SourceFiles") if two else kind
         for name in sources if two else ():
             SubElement(files, "File", name=name)
+
+
+def _steps(interface: Interface, two: bool) -> dict[str, str]:
+    """Return whether completed steps have to be told."""
+    needed = any(one.kind.completed_step_needed and one.description.states for one in interface.nested)
+    if two:
+        return {"completedIntegratorStepNotNeeded": _text(not needed)}
+    return {"needsCompletedIntegratorStep": "true"} if needed else {}
 
 
 # ---- units ----
@@ -188,6 +200,7 @@ def _indices(interface: Interface) -> dict[int, int]:
 def _unknowns(interface: Interface, version: str) -> dict[str, list[tuple[int, list[int]]]]:
     """Return outputs, derivatives, initial unknowns and events: reference, and the references it depends on.
 
+    The indicators of FMUs inside depend on all that may move: nothing more is told of them.
     Parameters are knowns at the start; in FMI 3.0 always, and what is not listed has derivative zero (2.4.8).
     """
     found = interface.dependencies
@@ -217,6 +230,7 @@ def _unknowns(interface: Interface, version: str) -> dict[str, list[tuple[int, l
     moving = [sorted(known(c) for c in columns) for columns in found.by_column]
     if version == "3.0":
         moving = [sorted({*row, *set_by(p)}) for row, p in zip(moving, found.by_parameter, strict=True)]
+    moving += [sorted(map(known, range(n_x + n_u + 1)))] * (n_x + n_y + interface.count(EVENT) - len(moving))
     calculated = [k for k in range(n_x) if not interface.x_exact[k]]
     return {
         "outputs": [(at[OUTPUT] + k, moving[n_x + k]) for k in range(n_y)],

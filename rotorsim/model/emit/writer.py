@@ -168,7 +168,7 @@ class Writer:
         which, size = self.called.index(call.name), max(call.function.nnz_out(), 1)
         return (
             f"  const double a{number}[] = {{{given}}};\n  double v{number}[{size}];\n"
-            f"  rs_called[{which}].function(rs_called[{which}].context, a{number}, v{number});"
+            f"  rs_call({which}, a{number}, v{number});"
         )
 
     def _expression(self, number: int, operand: Callable[[int], str]) -> str:
@@ -190,12 +190,13 @@ def called_functions(programs: Iterable[Program]) -> dict[str, Any]:
 
 
 def call_table(called: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the C text of the table of called functions, and of `rs_connect`, by which a program fills it."""
+    """Return the C text of `rs_call` with the table of called functions, and of `rs_connect`, which fills the table."""
     if not called:
         return "", ""
     names = "".join(f"/* {name} */\n" for name in called)
     entry = "struct rs_entry { void (*function)(void *, const double *, double *); void *context; };\n"
     table = f"{names}{entry}static struct rs_entry rs_called[{len(called)}];\n"
+    table += "#define rs_call(k, given, results) rs_called[k].function(rs_called[k].context, given, results)\n"
     return table, "RS_EXPORT void rs_connect(const void *from) { memcpy(rs_called, from, sizeof rs_called); }\n"
 
 

@@ -36,14 +36,16 @@ RF_EXPORT void FMI(FreeInstance)(rf_component c) { rf_destroy((rf_instance *)c);
 
 RF_EXPORT rf_status FMI(ExitInitializationMode)(rf_component c) {
   ALLOW(RF_INITIALISING);
-  rf_exit_initialisation(i);
-  return RF_OK;
+  return rf_exit_initialisation(i);
 }
 
 RF_EXPORT rf_status FMI(Terminate)(rf_component c) {
   ALLOW(RF_EVENT | RF_CONTINUOUS | RF_STEPPING);
   i->d[RF_PHASE] = RF_TERMINATED;
-  return RF_OK;
+#if RF_NESTED
+  rf_terminate_inners(i);
+#endif
+  return rf_outcome(i);
 }
 
 RF_EXPORT rf_status FMI(Reset)(rf_component c) {
@@ -107,10 +109,15 @@ RF_EXPORT rf_status FMI(EnterContinuousTimeMode)(rf_component c) {
 
 RF_EXPORT rf_status FMI(CompletedIntegratorStep)(rf_component c, RF_BOOLEAN no_set_state, RF_BOOLEAN *enter_event_mode,
                                                  RF_BOOLEAN *terminate) {
-  (void)no_set_state;
   ALLOW(RF_CONTINUOUS);
   *enter_event_mode = *terminate = 0;
-  return RF_OK;
+#if RF_NESTED
+  *enter_event_mode = rf_completed(i, no_set_state) != 0;
+  *terminate = i->ended != 0;
+#else
+  (void)no_set_state;
+#endif
+  return rf_outcome(i);
 }
 
 RF_EXPORT rf_status FMI(SetTime)(rf_component c, double time) {
