@@ -303,7 +303,7 @@ static void rf_restart_inners(rf_instance *i) {
 
 static void rf_terminate_inners(rf_instance *i) {
   for (int k = 0; k < RF_NESTED; ++k)
-    if (i->inner[k].begun) rf_plainly(i->inner + k, "Terminate");
+    if (i->inner[k].begun && rf_find(i->inner + k, "Terminate")) rf_plainly(i->inner + k, "Terminate");
 }
 
 static void rf_destroy_inners(rf_instance *i) {
@@ -359,19 +359,33 @@ static char *rf_uri_of(const char *path) {
   return uri;
 }
 
+/* Return whether its library has not all that is called. */
 static int rf_lacks(rf_inner *n) {
-  static const char *const both[] = {"FreeInstance", "SetTime", "SetContinuousStates", "GetContinuousStates",
-                                     "GetEventIndicators", "EnterInitializationMode", "ExitInitializationMode",
-                                     "EnterEventMode", "EnterContinuousTimeMode", "CompletedIntegratorStep",
-                                     "SetDebugLogging", "Terminate"};
-  static const char *const own[2][6] = {{"Instantiate", "SetupExperiment", "NewDiscreteStates", "GetDerivatives",
-                                         "SetReal", "GetReal"},
-                                        {"InstantiateModelExchange", "UpdateDiscreteStates", "SetFloat64", "GetFloat64",
-                                         "GetContinuousStateDerivatives", "SetFloat64"}};
-  for (int k = 0; k < 18; ++k) {
-    const char *name = k < 12 ? both[k] : own[n->model->version - 2][k - 12];
-    if (!rf_find(n, name)) return rf_failed(n, RF_ERROR, "its library has no function fmi%d%s", n->model->version, name);
-  }
+  const rf_model *m = n->model;
+  const int two = m->version == 2, states = m->n_x > 0;
+  const struct {
+    const char *name;
+    int called;
+  } functions[] = {{two ? "Instantiate" : "InstantiateModelExchange", 1},
+                   {"FreeInstance", 1},
+                   {"SetDebugLogging", m->n_categories > 0},
+                   {"SetupExperiment", two},
+                   {"EnterInitializationMode", 1},
+                   {"ExitInitializationMode", 1},
+                   {"EnterEventMode", states},
+                   {two ? "NewDiscreteStates" : "UpdateDiscreteStates", 1},
+                   {"EnterContinuousTimeMode", 1},
+                   {"CompletedIntegratorStep", states && m->reports},
+                   {"SetTime", 1},
+                   {"SetContinuousStates", states},
+                   {"GetContinuousStates", states},
+                   {two ? "GetDerivatives" : "GetContinuousStateDerivatives", states},
+                   {"GetEventIndicators", m->n_z > 0},
+                   {two ? "SetReal" : "SetFloat64", m->n_u > 0},
+                   {two ? "GetReal" : "GetFloat64", m->n_y > 0}};
+  for (size_t k = 0; k < sizeof functions / sizeof *functions; ++k)
+    if (functions[k].called && !rf_find(n, functions[k].name))
+      return rf_failed(n, RF_ERROR, "its library has no function fmi%d%s", m->version, functions[k].name);
   return 0;
 }
 
