@@ -284,7 +284,6 @@ class FmuFunctions:
         given = [value if one else ca.SX(0, 1) for value, one in zip(arguments, groups, strict=True)]
         return self._made[key](*given)
 
-
     def named(self) -> dict[str, _Called]:
         """Return the functions that were called, by name."""
         return {made.name(): made for made in self._made.values()}

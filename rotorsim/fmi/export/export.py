@@ -141,13 +141,16 @@ def _documentation(interface: Interface, main: str, optimise: str) -> str:
     diagram = interface.part.diagram
     words = diagram.document.get("description")
     what = escape(words) if isinstance(words, str) else ""
-    command = f"cc {' '.join(FLAGS)} {optimise} sources/{main} -o {interface.identifier}.so -lm"
+    libraries = "-lm -ldl" if interface.nested else "-lm"
+    command = f"cc {' '.join(FLAGS)} {optimise} sources/{main} -o {interface.identifier}.so {libraries}"
+    inside = [f"{one.block}: {one.kind.identifier} (FMI {one.description.version})" for one in interface.nested]
+    held = f"<p>FMUs inside, in resources: {escape(', '.join(inside))}.</p>\n" if inside else ""
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{escape(diagram.name)}</title></head><body>
 <h1>{escape(diagram.name)}</h1>
 <p>{what}</p>
 <p>Blocks: {escape(", ".join(interface.part.blocks))}. All quantities are in SI units.</p>
-<p>Co-simulation steps by {diagram.solver.step!r} s (Runge-Kutta of order 4), inputs held unless their derivatives
+{held}<p>Co-simulation steps by {diagram.solver.step!r} s (Runge-Kutta of order 4), inputs held unless their derivatives
 are set; a communication step that is no multiple of it is cut into equal steps not above it. Sampled blocks act at
 their hits exactly, those at the end of a step with the inputs of that step.</p>
 <p>Library from the sources: <code>{escape(command)}</code></p>

@@ -92,9 +92,11 @@ def _why_not(block: Any) -> tuple[str, str]:
         return "is an FMU of FMI 1.0, which is not carried inside another", f"get it as FMI 2.0 or 3.0, or {NESTED}"
     if what:
         cosim = "is an FMU for Co-Simulation, which is not carried inside another"
-        return (cosim, f'{hint.rpartition(";")[0] or "get it for Model Exchange, too"}; or {NESTED}') if (
-            "Co-Simulation, which hides" in what
-        ) else (what, NESTED)
+        return (
+            (cosim, f"{hint.rpartition(';')[0] or 'get it for Model Exchange, too'}; or {NESTED}")
+            if ("Co-Simulation, which hides" in what)
+            else (what, NESTED)
+        )
     if description.kinds["me"].needs_tool:
         return "needs the tool that made it (needsExecutionTool), which is not carried", ""
     if not description.platforms:
@@ -217,7 +219,9 @@ def nested_tables(part: Part, nested: Sequence[Nested], called: Sequence[str]) -
     rows: list[int] = []
     calls = []
     for name in called:
-        k, made = next((k, one.functions.named()[name]) for k, one in enumerate(nested) if name in one.functions.named())
+        k, made = next(
+            (k, one.functions.named()[name]) for k, one in enumerate(nested) if name in one.functions.named()
+        )
         equations = nested[k].functions.equations
         zero = equations.n_x + len(_shown(nested[k]))  # behind all: what nobody reads
         own = [equations.native_row.get(row, zero) for row in made.rows or ()]

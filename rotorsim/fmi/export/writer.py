@@ -60,6 +60,8 @@ def build_description(interface: Interface, sources: Sequence[str], options: str
     for name in sources:
         SubElement(files, "SourceFile", name=name)
     SubElement(configuration, "Library", name="m", description="C mathematics (not on Windows)", external="true")
+    if interface.nested:
+        SubElement(configuration, "Library", name="dl", description="dlopen (Linux)", external="true")
     return xml_bytes(root)
 
 

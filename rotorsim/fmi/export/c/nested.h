@@ -60,7 +60,7 @@ static int rf_failed(rf_inner *n, int status, const char *format, ...) {
   vsnprintf(text, sizeof text, format, arguments);
   va_end(arguments);
   if (status > n->outer->status) n->outer->status = status;
-  rf_log(n->outer, status, "%s: %s (t = %.9g s)", n->model->block, text, n->outer->d[RF_TIME]);
+  rf_log(n->outer, status, "%s: %s (t = %.9g s)", n->model->block, text, n->time);
   return 1;
 }
 
@@ -202,8 +202,7 @@ static int rf_settle(rf_inner *n) {
     n->states |= info.states || flag[3];
     n->at.due = info.defined || flag[4] ? info.time : HUGE_VAL;
     if (info.terminate || flag[1]) {
-      rf_log(n->outer, RF_WARNING, "%s asks for the end of the simulation (t = %.9g s)", n->model->block,
-             n->outer->d[RF_TIME]);
+      rf_log(n->outer, RF_WARNING, "%s asks for the end of the simulation (t = %.9g s)", n->model->block, n->time);
       return n->outer->ended = 1, 0;
     }
     if (!info.needed && !flag[0]) break;
@@ -223,6 +222,7 @@ static int rf_begin_inner(rf_inner *n, const double *p, const double *u) {
     if (rf_instantiate(n)) return 1;
   }
   n->fresh = n->states = n->nominals = 0;
+  n->time = start;
   if (rf_set_variables(n, p, u)) return 1;
   if (n->model->version == 2) {
     const rf_function setup = rf_find(n, "SetupExperiment");
@@ -281,6 +281,7 @@ static void rf_call(const double *p, int k, const double *arguments, double *res
   } else if (i->status < RF_DISCARD) {
     const int same = n->begun && memcmp(part[3], n->p, (size_t)n->fmu.n_p * sizeof *part[3]) == 0;
     if (same || !rf_begin_inner(n, part[3], n->model->starts + n->fmu.n_p)) {
+      n->time = *part[0];
       if (!n->fmu.n_x && *part[0] >= n->at.due)
         rf_failed(n, RF_ERROR, "has a time event at t = %.9g s and no states", n->at.due);
       else if (evaluated_here(&n->fmu, &n->at, *part[0], part[1], part[2], rates, outputs, n->out) &&

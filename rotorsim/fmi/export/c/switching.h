@@ -65,7 +65,8 @@ static int rf_take_sides(rf_instance *i) {
 static int rf_bring(rf_inner *n) {
   rs_fmu *f = &n->fmu;
   void *c = n->at.instance;
-  if (rf_wrong(n, "SetTime", ((time_)f->set_time)(c, n->outer->d[RF_TIME]))) return 1;
+  n->time = n->outer->d[RF_TIME];
+  if (rf_wrong(n, "SetTime", ((time_)f->set_time)(c, n->time))) return 1;
   if (rf_wrong(n, "SetContinuousStates",
                ((set_)f->set_x)(c, rf_x(n->outer) + n->model->at_x, (size_t)f->n_x)))
     return 1;
