@@ -94,6 +94,15 @@ def export(
     )
     show_problems(done.warnings)
     counts = {role: done.interface.count(role) for role in ("parameter", "input", "output", "state", "event")}
+    inside = [
+        {
+            "block": one.block,
+            "model": one.kind.identifier,
+            "fmi": one.description.version,
+            "platforms": sorted(one.libraries),
+        }
+        for one in done.interface.nested
+    ]
     data = {
         "file": out,
         "fmi": version,
@@ -103,15 +112,7 @@ def export(
         "step": loaded.solver.step,
         "variables": counts,
         "libraries": done.libraries,
-        "fmus": [
-            {
-                "block": one.block,
-                "model": one.kind.identifier,
-                "fmi": one.description.version,
-                "platforms": sorted(one.libraries),
-            }
-            for one in done.interface.nested
-        ],
+        "fmus": inside,
     }
     sizes = [(name, f"{size / 1e3:.0f} kB") for name, size in done.libraries.items()]
     lines = [
@@ -119,7 +120,7 @@ def export(
         ", ".join(counted(n, role) for role, n in counts.items()),
         *(
             f"holds {one['model']} for {one['block']}: FMI {one['fmi']}, {', '.join(one['platforms'])}"
-            for one in data["fmus"]
+            for one in inside
         ),
         table(("platform", "library"), sizes) if sizes else "sources only",
     ]

@@ -72,17 +72,24 @@ class Nested:
 
 def why_not_nested(diagram: Diagram, blocks: Iterable[str]) -> list[Problem]:
     """Return every reason why FMUs among some blocks cannot be carried inside another one."""
-    problems, once = [], {}
+    problems: list[Problem] = []
+    once: dict[str, str] = {}
     for name in blocks:
-        node = diagram.nodes[name]
-        if not node.block.opaque:
+        node, block = diagram.nodes[name], _fmu_block(diagram, name)
+        if block is None:
             continue
-        what, hint = _why_not(node.block)
-        if not what and node.block.fmu_description.kinds["me"].once_per_process:
-            first = once.setdefault(node.block.fmu_description.token, name)
+        what, hint = _why_not(block)
+        if not what and block.fmu_description.kinds["me"].once_per_process:
+            first = once.setdefault(block.fmu_description.token, name)
             what = "" if first == name else f"can be instantiated only once per process, and {first} is the same FMU"
         problems += [Problem(what, name, node.place, hint or NESTED)] if what else []
     return problems
+
+
+def _fmu_block(diagram: Diagram, name: str) -> Any:
+    """Return the block of type fmu of this name, or None where it is of another type."""
+    block = diagram.nodes[name].block
+    return block if block.opaque else None
 
 
 def _why_not(block: Any) -> tuple[str, str]:
@@ -114,8 +121,8 @@ def find_nested(part: Part) -> tuple[Nested, ...]:
     """Return the FMUs among the blocks of a part, which `why_not_nested` finds nothing against."""
     found = []
     for name in part.blocks:
-        block: Any = part.diagram.nodes[name].block
-        if not block.opaque:
+        block = _fmu_block(part.diagram, name)
+        if block is None:
             continue
         description = block.fmu_description
         identifier = description.kinds["me"].identifier
@@ -145,7 +152,7 @@ def check_outputs(part: Part, nested: Sequence[Nested], record: Sequence[str]) -
     problems = []
     for one in nested:
         used = {str(w.source).partition("[")[0] for w in part.diagram.wires} | {r.partition("[")[0] for r in record}
-        ports = part.diagram.nodes[one.block].block.fmu_outputs  # type: ignore[attr-defined]
+        ports = _fmu_block(part.diagram, one.block).fmu_outputs
         for key, port in ports.items():
             kinds = {entry.variable.type for entry in one.description.resolve(port.entries)} - {FLOATS[0]}
             if kinds and f"{one.block}.{key}" in used:

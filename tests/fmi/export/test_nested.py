@@ -154,8 +154,8 @@ def test_events_that_accumulate_are_an_error(tmp_path: Path) -> None:
         with pytest.raises(Exception, match="DoStep failed with status 3"):
             one.walk(["it.x"], 200, H)
         assert [text for status, _, text in one.messages if status == 3] == [
-            "an event indicator crosses zero again and again (t = 1 s): events accumulate: a contact that comes to rest, "
-            "or a relay without hysteresis"
+            "an event indicator crosses zero again and again (t = 1 s): events accumulate: a contact that comes to "
+            "rest, or a relay without hysteresis"
         ]
 
 
