@@ -211,7 +211,9 @@ def nested_tables(part: Part, nested: Sequence[Nested], called: Sequence[str]) -
     lines = [
         f"#define RF_NESTED {len(nested)}",
         f"#define RF_NESTED_Z {sum(one.n_events for one in nested)}",
+        f"#define RF_NESTED_P {sum(len(one.functions.equations.instances.parameters) for one in nested)}",
         f"#define RF_REPORTS {int(reports)}",
+        f"#define RF_SAVES {int(all(one.kind.can_get_set_state for one in nested))}",
         f"#define RF_CALLED {len(called)}",
         '#include "nested_types.h"',
         *_places(nested),

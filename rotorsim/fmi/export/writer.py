@@ -94,7 +94,8 @@ def _root(interface: Interface, version: str, token: str) -> Element:
 def _kinds(root: Element, interface: Interface, version: str, sources: Sequence[str]) -> None:
     two = version == "2.0"
     state = "FMUstate" if two else "FMUState"
-    alone = _text(not interface.nested)  # states and derivatives of FMUs inside are not passed on
+    alone = _text(not interface.nested)  # derivatives and serialised states of FMUs inside are not passed on
+    saves = all(one.kind.can_get_set_state for one in interface.nested)
     more = (
         {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": alone}
         if two
@@ -103,7 +104,7 @@ def _kinds(root: Element, interface: Interface, version: str, sources: Sequence[
     common = {
         "modelIdentifier": interface.identifier,
         "canBeInstantiatedOnlyOncePerProcess": _text(any(one.kind.once_per_process for one in interface.nested)),
-        f"canGetAndSet{state}": alone,
+        f"canGetAndSet{state}": _text(saves),
         f"canSerialize{state}": alone,
         **more,
     }

@@ -159,6 +159,30 @@ def test_events_that_accumulate_are_an_error(tmp_path: Path) -> None:
         ]
 
 
+@pytest.mark.parametrize("outer", ["2.0", "3.0"])
+@pytest.mark.slow
+def test_a_saved_state_is_come_back_to_over_events(tmp_path: Path, outer: str) -> None:
+    """The state of the FMU inside comes back too: bounces are counted again, not on."""
+    names = ["it.x", "it.count"]
+    made = exported(alone(events_fmu(tmp_path), "ball", step=H, stop=2.0), tmp_path / "it.fmu", outer, outputs=names)
+    with opened(made, "cs") as one:
+        one.begin()
+        one.walk(names, 40, H)
+        state = one.fmu.getFMUState()
+        first = one.walk(names, 80, H, first=40)
+        assert first[-1, 1] - first[0, 1] == 2.0
+        one.fmu.setFMUState(state)
+        assert np.array_equal(one.walk(names, 80, H, first=40), first)
+        one.fmu.freeFMUState(state)
+    unsaved = exported(alone(events_fmu(tmp_path, saves=False), "ball", step=H, stop=2.0), tmp_path / "no.fmu", outer)
+    assert not fmpy.read_model_description(str(unsaved)).coSimulation.canGetAndSetFMUstate
+    with opened(unsaved, "cs") as one:
+        one.begin()
+        with pytest.raises(Exception, match="failed with status 3"):
+            one.fmu.getFMUState()
+        assert one.messages[-1][2] == "GetFMUState: not offered: this FMU holds other FMUs"
+
+
 # ---- values ----
 
 

@@ -65,27 +65,25 @@ RF_EXPORT rf_status RF_STATE_FUNCTION(Get)(rf_component c, rf_state *state) {
 
 RF_EXPORT rf_status RF_STATE_FUNCTION(Set)(rf_component c, rf_state state) {
   INSTANCE;
-  return rf_restore(i, __func__, (const double *)state);
+  return rf_restore(i, __func__, state);
 }
 
 RF_EXPORT rf_status RF_STATE_FUNCTION(Free)(rf_component c, rf_state *state) {
-  (void)c;
-  if (state) free(*state), *state = 0;
+  INSTANCE;
+  if (state) rf_free_saved(i, *state), *state = 0;
   return RF_OK;
 }
 
 RF_EXPORT rf_status FMI(RF_PASTE(RF_PASTE(Serialized, RF_STATE), Size))(rf_component c, rf_state state, size_t *size) {
   INSTANCE;
   (void)state;
-  *size = sizeof i->d;
+  *size = rf_serialised(i);
   return RF_OK;
 }
 
 RF_EXPORT rf_status RF_STATE_FUNCTION(Serialize)(rf_component c, rf_state state, RF_BYTE bytes[], size_t size) {
   INSTANCE;
-  if (!state || size < sizeof i->d) return rf_log(i, RF_ERROR, "%s: no state, or too few bytes", __func__);
-  memcpy(bytes, state, sizeof i->d);
-  return RF_OK;
+  return rf_serialise(i, __func__, state, bytes, size);
 }
 
 RF_EXPORT rf_status FMI(RF_DESERIALIZE)(rf_component c, const RF_BYTE bytes[], size_t size, rf_state *state) {

@@ -117,6 +117,7 @@ static int rf_instantiate(rf_inner *n) {
     if (two) ((listen2)listen)(n->at.instance, 1, (size_t)m->n_categories, m->categories);
     else ((listen3)listen)(n->at.instance, true, (size_t)m->n_categories, m->categories);
   }
+  ++n->made;
   n->fresh = 1;
   n->begun = 0;
   return 0;
@@ -280,7 +281,9 @@ static void rf_call(const double *p, int k, const double *arguments, double *res
     }
   } else if (i->status < RF_DISCARD) {
     const int same = n->begun && memcmp(part[3], n->p, (size_t)n->fmu.n_p * sizeof *part[3]) == 0;
-    if (same || !rf_begin_inner(n, part[3], n->model->starts + n->fmu.n_p)) {
+    if (n->begun && !same && !((int)i->d[RF_PHASE] & (RF_INSTANTIATED | RF_INITIALISING)))
+      rf_failed(n, RF_ERROR, "cannot take other parameters after its initialisation");
+    else if (same || !rf_begin_inner(n, part[3], n->model->starts + n->fmu.n_p)) {
       n->time = *part[0];
       if (!n->fmu.n_x && *part[0] >= n->at.due)
         rf_failed(n, RF_ERROR, "has a time event at t = %.9g s and no states", n->at.due);

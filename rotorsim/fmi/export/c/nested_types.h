@@ -40,7 +40,7 @@ typedef struct { /* fmi2CallbackFunctions */
 } rf_callbacks;
 
 /* An instance of an FMU inside, with parameters p as it was begun: x, its states after the last event, values that are set.
- * fresh: instantiated and no more; begun: past its initialisation; states, nominals: whether the last event has changed
+ * made: how many there have been; fresh: instantiated and no more; begun: past its initialisation; states, nominals: whether the last event has changed
  * them; time: of what it was asked last. */
 typedef struct {
   rs_fmu fmu;
@@ -51,7 +51,7 @@ typedef struct {
   char *name, *resources;
   double *memory, *p, *x, *zeros, *out, *values;
   void *buffer;
-  int fresh, begun, states, nominals;
+  int made, fresh, begun, states, nominals;
   double time;
   rf_callbacks callbacks;
 } rf_inner;

@@ -145,23 +145,11 @@ static int rf_step(rf_instance *i, const char *function, double at, double size)
 
 /* ---- saved states ---- */
 
-#if RF_NESTED /* their states would have to be saved with it */
-static int rf_restore(rf_instance *i, const char *function, const double *saved) {
-  (void)saved;
-  return rf_log(i, RF_ERROR, "%s: the state of this FMU cannot be saved: it holds other FMUs", function);
-}
-
-static int rf_save(rf_instance *i, void **state) {
-  (void)state;
-  return rf_restore(i, "GetFMUState", 0);
-}
-
-static int rf_deserialise(rf_instance *i, const char *function, const void *bytes, size_t size, void **state) {
-  (void)bytes, (void)size, (void)state;
-  return rf_restore(i, function, 0);
-}
+#if RF_NESTED
+#include "saved.h"
 #else
-static int rf_restore(rf_instance *i, const char *function, const double *saved) {
+static int rf_restore(rf_instance *i, const char *function, const void *state) {
+  const double *saved = (const double *)state;
   if (!saved || saved[RF_MAGIC] != RF_MAGIC_NUMBER || saved[RF_KIND] != i->d[RF_KIND])
     return rf_log(i, RF_ERROR, "%s: this is not a state of this FMU", function);
   memcpy(i->d, saved, sizeof i->d);
@@ -173,6 +161,19 @@ static int rf_save(rf_instance *i, void **state) {
   if (!*state) *state = malloc(sizeof i->d);
   if (!*state) return rf_log(i, RF_ERROR, "not enough memory for a state of %d bytes", (int)sizeof i->d);
   memcpy(*state, i->d, sizeof i->d);
+  return RF_OK;
+}
+
+static void rf_free_saved(rf_instance *i, void *state) {
+  (void)i;
+  free(state);
+}
+
+static size_t rf_serialised(const rf_instance *i) { return sizeof i->d; }
+
+static int rf_serialise(rf_instance *i, const char *function, const void *state, void *bytes, size_t size) {
+  if (!state || size < sizeof i->d) return rf_log(i, RF_ERROR, "%s: no state, or too few bytes", function);
+  memcpy(bytes, state, sizeof i->d);
   return RF_OK;
 }
 
