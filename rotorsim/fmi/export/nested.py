@@ -227,10 +227,13 @@ def nested_tables(part: Part, nested: Sequence[Nested], called: Sequence[str]) -
         at_z += one.n_events
     rows: list[int] = []
     calls = []
+    known = {name: (k, made) for k, one in enumerate(nested) for name, made in one.functions.named().items()}
     for name in called:
-        k, made = next(
-            (k, one.functions.named()[name]) for k, one in enumerate(nested) if name in one.functions.named()
-        )
+        if name not in known:
+            block = next(nested[k].block for own, (k, _) in known.items() if own in name)
+            what = "is in an algebraic loop, which takes derivatives of its outputs: these are not carried"
+            raise RotorsimError(Problem(what, block, hint="put a state into the loop (integrator, lag, delay)"))
+        k, made = known[name]
         equations = nested[k].functions.equations
         zero = equations.n_x + len(_shown(nested[k]))  # behind all: what nobody reads
         own = [equations.native_row.get(row, zero) for row in made.rows or ()]

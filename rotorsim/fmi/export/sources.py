@@ -19,7 +19,7 @@ from rotorsim.model.emit.program import Program
 from rotorsim.model.emit.writer import Writer, array_leaf, called_functions
 
 _HEADERS = ("instance.h", "derivatives.h", "stepping.h", "functions.h")
-_NESTED_HEADERS = ("nested_types.h", "nested.h", "switching.h", "saved.h")
+_NESTED_HEADERS = ("nested_types.h", "libraries.h", "nested.h", "switching.h", "saved.h")
 _CALLING = (  # of generated code: the instance is found by its parameters
     '#include "evaluate.h"\n'
     "static void rf_call(const double *p, int k, const double *arguments, double *results);\n"

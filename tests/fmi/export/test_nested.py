@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import zipfile
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.fmi.validate import validate_fmu as validate_here
 from rotorsim.model.load import load
+from rotorsim.simulation import event_steps, switching
 from rotorsim.simulation.run import simulate
 from tests.fmi.conftest import Make
 from tests.fmi.events import alone, events_fmu
@@ -275,6 +277,38 @@ def test_what_is_not_carried_is_refused_by_name(fmu: Make, tmp_path: Path) -> No
         "error: it: holds no library for x86_64-windows, which the exported FMU would need\n\n"
         "hint: it holds x86_64-linux: --platform names these"
     )
+
+
+def test_an_algebraic_loop_through_it_is_refused(tmp_path: Path) -> None:
+    make_fmu(tmp_path / "plant2.fmu", description=description2().replace('unit="N"', 'unit="m"'))
+    values = {"interface": "me", "in_process": True, "gain": 0.5}
+    document = {
+        "name": "looped",
+        "algebraic_loops": "solve",
+        "blocks": {
+            "it": {"type": "fmu", "file": "plant2.fmu", "parameters": values},
+            "back": {"type": "gain", "parameters": {"gain": 0.5}},
+        },
+        "wires": [["it.y", "back.input"], ["back.output", "it.u"]],
+        "solver": {"step": 1e-3, "stop": 0.5},
+        "record": ["it.y"],
+    }
+    assert refused(load(document, folder=tmp_path, trust_blocks=True), tmp_path / "out.fmu") == (
+        "error: it: is in an algebraic loop, which takes derivatives of its outputs: these are not carried\n\n"
+        "hint: put a state into the loop (integrator, lag, delay)"
+    )
+
+
+def test_its_events_are_located_by_the_numbers_of_a_run() -> None:
+    text = resources.files("rotorsim.fmi.export").joinpath("c/switching.h").read_text()
+    own = {name: float(value) for name, value in re.findall(r"#define RF_(\w+) ([\d.e-]+)", text)}
+    assert own == {
+        "LOCATED": event_steps.LOCATED,
+        "TOUCH": event_steps.TOUCH,
+        "CHATTER": event_steps.CHATTER,
+        "MOST_EVENTS": event_steps.MOST_EVENTS_PER_STEP,
+        "MOST_ITERATIONS": switching.MOST_ITERATIONS,
+    }
 
 
 @pytest.mark.slow

@@ -84,13 +84,11 @@ static int rf_finite(rf_instance *i) {
 /* Take steps n0..n1-1 of size h from t0; inputs with a slope follow it, at the middle of every step. Return the step
  * reached: less than n1 when a state is not finite. */
 static int64_t rf_march(rf_instance *i, int64_t n0, int64_t n1, double t0, double h) {
+  double *slope = i->d + RF_AT_SLOPE, *u = rf_z(i) + RF_NZ;
 #if !RF_NESTED
   const int64_t never = INT64_MAX;
-#endif
-  double *slope = i->d + RF_AT_SLOPE, *u = rf_z(i) + RF_NZ;
   int moving = 0;
   for (int k = 0; k < RF_NU; ++k) moving |= slope[k] != 0.0;
-#if !RF_NESTED
   if (!moving) return rs_run(rf_p(i), rf_m(i), n0, n1, t0, h, never, i->row);
 #endif
   for (int64_t n = n0; n < n1; ++n) {

@@ -205,8 +205,8 @@ static int rf_step_over(rf_instance *i, int64_t n, double t0, double h) {
     const double next = rf_next_event(i);
     double goal = next < end - tiny ? next : end;
     if (i->at.touching) { /* which side it takes is seen before it may come back */
-      const double near = t + rf_larger(RF_TOUCH * h, 1e3 * DBL_EPSILON * fabs(t));
-      goal = near < goal ? near : goal;
+      const double soon = t + rf_larger(RF_TOUCH * h, 1e3 * DBL_EPSILON * fabs(t));
+      goal = soon < goal ? soon : goal;
       i->at.touching = 0;
     }
     int whole = t == start && goal == end;
