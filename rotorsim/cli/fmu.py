@@ -71,7 +71,8 @@ def export(
 ) -> None:
     """Write a diagram, or some of its blocks, as an FMU for model exchange and co-simulation.
 
-    With --block, what comes from other blocks becomes an input. Co-simulation takes the diagram's own step.
+    With --block, what comes from other blocks becomes an input. Co-simulation takes the diagram's own step. FMUs for
+    Model Exchange in the diagram go along inside (--trust-blocks: their code is run).
 
     \b
     rotorsim fmu export jeffcott -o jeffcott.fmu
@@ -93,6 +94,15 @@ def export(
     )
     show_problems(done.warnings)
     counts = {role: done.interface.count(role) for role in ("parameter", "input", "output", "state", "event")}
+    inside = [
+        {
+            "block": one.block,
+            "model": one.kind.identifier,
+            "fmi": one.description.version,
+            "platforms": sorted(one.libraries),
+        }
+        for one in done.interface.nested
+    ]
     data = {
         "file": out,
         "fmi": version,
@@ -102,11 +112,16 @@ def export(
         "step": loaded.solver.step,
         "variables": counts,
         "libraries": done.libraries,
+        "fmus": inside,
     }
     sizes = [(name, f"{size / 1e3:.0f} kB") for name, size in done.libraries.items()]
     lines = [
         f"{out}: FMI {version}, model exchange and co-simulation, step {loaded.solver.step:g} s",
         ", ".join(counted(n, role) for role, n in counts.items()),
+        *(
+            f"holds {one['model']} for {one['block']}: FMI {one['fmi']}, {', '.join(one['platforms'])}"
+            for one in inside
+        ),
         table(("platform", "library"), sizes) if sizes else "sources only",
     ]
     show(as_json, lambda: data, lambda: "\n".join(lines))

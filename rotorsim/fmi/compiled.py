@@ -69,7 +69,8 @@ def _library() -> ctypes.CDLL | None:
     compiler = find_compiler()
     if compiler is None:
         return None
-    source = DEFINES + files("rotorsim.fmi").joinpath("equations.c").read_text(encoding="utf-8")
+    texts = (files("rotorsim.fmi").joinpath(name).read_text(encoding="utf-8") for name in ("evaluate.h", "equations.c"))
+    source = DEFINES + "".join(texts)
     try:
         return compile_c(source, compiler, "-O3")[0]
     except CompilerError:

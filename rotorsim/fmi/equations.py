@@ -58,7 +58,7 @@ class FmuEquations:
         """
         self.name, self.description = name, description
         self._u, self._p, y = Values(inputs), Values(parameters), Values(outputs)
-        self._instances = Instances(name, path, description, in_process, texts, self._u, self._p, y.names)
+        self.instances = Instances(name, path, description, in_process, texts, self._u, self._p, y.names)
         self.n_x = len(description.states)
         self.u_names, self.y_names = self._u.names, y.names
         self.u_scales, self.y_scales = self._u.scales, y.scales
@@ -96,7 +96,7 @@ class FmuEquations:
             with self._instance(p) as slave:
                 return self._begun[id(slave)].copy()
         starter, self._starter = self._starter, None
-        self._starter = self._instances.new(u, p) if starter is None else self._instances.again(starter, u, p)
+        self._starter = self.instances.new(u, p) if starter is None else self.instances.again(starter, u, p)
         return self._starter.states()
 
     def rates(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -297,10 +297,10 @@ class FmuEquations:
     def _made(self, p: np.ndarray) -> Slave:
         """Return another instance, in the place of the one that was used longest ago where there are enough."""
         if len(self._slaves) < self._most:
-            return self._instances.new(self._u.starts, p)
+            return self.instances.new(self._u.starts, p)
         spare = self._slaves.popitem(last=False)[1]
         self._forget(spare)
-        return self._instances.again(spare, self._u.starts, p)
+        return self.instances.again(spare, self._u.starts, p)
 
     def _forget(self, slave: Slave) -> None:
         self._modes.pop(id(slave), None)

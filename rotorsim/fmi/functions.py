@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -328,6 +329,16 @@ class FmuFunctions:
             made.answer_in_c(made, "values")
         return self._made[key]
 
+    def named(self) -> dict[str, _Called]:
+        """Return the functions that were called, by name."""
+        return {made.name(): made for made in self._made.values()}
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file, which is read once."""
+    stat = path.stat()
+    return _digest(str(path), (stat.st_mtime_ns, stat.st_size))
+
 
 @lru_cache(maxsize=64)
 def _digest(path: str, _stamp: tuple[int, int]) -> str:
@@ -373,8 +384,7 @@ def functions_of(block: Any) -> FmuFunctions:
         and key not in block.wired
         and getattr(option, key) != item.default
     }
-    stat, sizes = block.fmu_path.stat(), sorted(block.fmu_description.sizes.items())
-    digest = _digest(str(block.fmu_path), (stat.st_mtime_ns, stat.st_size))
+    digest, sizes = digest_of(block.fmu_path), sorted(block.fmu_description.sizes.items())
     ports = [*block.fmu_outputs]
     identity = repr((block.fmu_block, digest, bool(option.in_process), sorted(texts.items(), key=str), sizes, ports))
     if identity not in _known:

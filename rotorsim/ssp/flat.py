@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import count, islice
 
 import numpy as np
 
 from rotorsim.errors import Problem, near_miss
-from rotorsim.fmi.description.model import FmuUnit, Value
+from rotorsim.fmi.description.model import FLOATS, FmuUnit, Value
 from rotorsim.ssp.structure import Component, Connection, Connector, Setting, Structure, System, same_unit
 
 Path = tuple[str, ...]  # names from the root system (which is ()) down to an element
@@ -25,7 +25,8 @@ _SINKS = ("input", "parameter", "structuralParameter")
 class Feed:
     """What feeds an entry: factor * source + offset. The source is an output, or a connector of a system.
 
-    setting: the value that is given to the connector of a system. unit: in which it arrives.
+    setting: the value that is given to the connector of a system. unit: in which it arrives. table: what becomes of
+    some whole numbers, or names of items, on the way; then factor and offset are 1 and 0.
     """
 
     path: Path
@@ -35,6 +36,7 @@ class Feed:
     offset: float
     setting: Setting | None = None
     unit: FmuUnit | None = None
+    table: Mapping[Value, Value] | None = None
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,9 @@ class Flat:
                 self._wrong(wrong, _ends(path, connection), connection, hint)
                 return
             if connection.types and connector.type not in ("", *connection.types):
-                what = f"a transformation of {connection.types[0]}, and '{end.connector}' is of type {connector.type}"
+                kind = "whole numbers" if len(connection.types) > 1 else connection.types[0]
+                kind = FLOATS[0] if FLOATS[0] in connection.types else kind
+                what = f"a transformation of {kind}, and '{end.connector}' is of type {connector.type}"
                 self._wrong(what, _ends(path, connection), connection)
                 return
             outward = connector.kind in _SOURCES
@@ -151,6 +155,7 @@ class Flat:
         steps += reversed(hops)
         units = self._units(point, [target for target, _ in steps], unit_of)
         unit, factor, offset = units[0] if setting is None else setting.unit, 1.0, 0.0
+        table: Mapping[Value, Value] | None = None
         for (target, step), own in zip(steps, units[len(units) - len(steps) :], strict=True):
             fit = rescaled(unit, own) if unit and own and not step.suppress else (1.0, 0.0)
             if fit is None and unit and own:
@@ -160,7 +165,12 @@ class Flat:
             unit = own or unit
             for a, b in (fit or (1.0, 0.0), (step.factor, step.offset)):
                 factor, offset = a * factor, a * offset + b
-        return Feed(point[0], point[1], indices, factor, offset, setting, unit)
+            own_table = step.table if isinstance(step, Connection) else None
+            table = own_table if table is None else _one_behind_another(table, own_table or {})
+            if table is not None and (factor, offset) != (1.0, 0.0):
+                what = "a mapping of values and a factor or offset are on one way, which is not supported"
+                self.problems.append(Problem(what, f"{_text(point)} -> {_text(target)}"[:200], step.place))
+        return Feed(point[0], point[1], indices, factor, offset, setting, unit, table)
 
     def _units(
         self, source: Point, targets: list[Point], unit_of: Callable[[Point], FmuUnit | None]
@@ -177,6 +187,11 @@ class Flat:
             if units[k] is None and path not in self.components and self.connectors[path, name].kind in _SINKS:
                 units[k] = units[k + 1]
         return units
+
+
+def _one_behind_another(first: Mapping[Value, Value], then: Mapping[Value, Value]) -> dict[Value, Value]:
+    """Return the table of two, of which each leaves what it has not."""
+    return {value: then.get(first.get(value, value), first.get(value, value)) for value in (*first, *then)}
 
 
 def rescaled(given: FmuUnit, wanted: FmuUnit) -> tuple[float, float] | None:

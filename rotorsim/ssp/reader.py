@@ -124,12 +124,9 @@ class _Reader:
             element_name = element.get(f"{which}Element")  # "" is written for the system itself, too
             ends.append(End(element_name or None, name, indices if given else None))
         made = read_transformation(element, subject, self.document)
-        factor, offset = made.factor, made.offset
-        if made.table is not None and made.types != ("Boolean",):
-            hint = "in a ParameterMapping it is; a block of the diagram can make a signal of another"
-            self.wrong(element, f"{made.name} in a connection is not supported", subject, hint)
-        elif made.table is not None:  # of the numbers 0 and 1, every table is a straight line
-            low, high = made.table.get(False, False), made.table.get(True, True)
-            factor, offset = float(high) - float(low), float(low)
+        factor, offset, table = made.factor, made.offset, made.table
+        if table is not None and made.types == ("Boolean",):  # of the numbers 0 and 1 it is a straight line
+            low, high = table.get(False, False), table.get(True, True)
+            factor, offset, table = float(high) - float(low), float(low), None
         suppress = read.flag("suppressUnitConversion")
-        yield Connection(ends[0], ends[1], factor, offset, suppress, self.place(element), made.types)
+        yield Connection(ends[0], ends[1], factor, offset, suppress, self.place(element), made.types, table)

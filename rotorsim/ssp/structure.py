@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from rotorsim.errors import Place, Problem
@@ -66,7 +67,8 @@ class End:
 class Connection:
     """A connection: end = factor * start + offset, after units are converted (unless ``suppress``).
 
-    types: of the connectors that it may join, where its transformation is for some types only.
+    types: of the connectors that it may join, where its transformation is for some types only. table: what whole
+    numbers, or names of items, become; others stay.
     """
 
     start: End
@@ -76,6 +78,7 @@ class Connection:
     suppress: bool = False
     place: Place = field(default_factory=Place)
     types: tuple[str, ...] = ()
+    table: Mapping[Value, Value] | None = None
 
 
 @dataclass(frozen=True)

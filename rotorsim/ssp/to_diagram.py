@@ -24,7 +24,7 @@ from rotorsim.files import HIDDEN, sweep, temporary_prefix, write_atomically
 from rotorsim.fmi.block import FmuOption, block_class
 from rotorsim.fmi.description.archive import Archive, Limits
 from rotorsim.fmi.description.attributes import Mistakes
-from rotorsim.fmi.description.model import Entry, FmuUnit, ModelDescription, Value
+from rotorsim.fmi.description.model import INTEGERS, Entry, FmuUnit, ModelDescription, Value
 from rotorsim.model.load import load
 from rotorsim.ssp.flat import Feed, Flat, Path, names_of, rescaled, value_at
 from rotorsim.ssp.reader import read_structure
@@ -193,7 +193,7 @@ class _Writer:
                         hint = "a parameter is given by a value, or by a connector of a system"
                         self._wrong(path, entry.name, "an output feeds it, and it is no numeric input", hint)
                     else:
-                        fed.append((feed, at))
+                        fed.append((self._in_numbers(feed, path, entry), at))
                 elif feed.setting is not None:
                     self.used.add(".".join((*feed.path, feed.connector)))
                     source = self.flat.connectors.get((feed.path, feed.connector))
@@ -201,10 +201,34 @@ class _Writer:
                     if value is None or (isinstance(value, str) and (feed.factor, feed.offset) != (1.0, 0.0)):
                         self._wrong(path, entry.name, f"no value of {feed.connector} fits it")
                     else:
+                        value = (feed.table or {}).get(value, value)
                         values[entry.name] = _line(value, feed.factor, feed.offset)
                 elif not feed.path and connector.kind == "input" and at is not None:
                     self.free.setdefault(feed.connector, []).append(at.end())
         return values, fed
+
+    def _in_numbers(self, feed: Feed, path: Path, entry: Entry) -> Feed:
+        """Return a feed of an entry whose table is of numbers: names of items are those of both FMUs."""
+        source = next(iter(self._description(feed.path).entries(feed.connector)), None)
+        if feed.table is None or source is None:
+            return feed
+        for end in (source.variable, entry.variable):
+            if end.type not in INTEGERS:
+                self._wrong(path, entry.name, f"whole numbers are mapped, and {end.name} is of type {end.type}")
+                return feed
+        if not any(isinstance(value, str) for value in feed.table):
+            return feed
+        given = self._description(feed.path).items.get(source.variable.declared_type, {})
+        wanted = self._description(path).items.get(entry.variable.declared_type, {})
+        numbers: dict[Value, Value] = {}
+        for name, number in given.items():
+            item = str(feed.table.get(name, name))
+            if item not in wanted:
+                what = f"item '{name[:80]}' comes as '{item[:80]}', which is none of its items"
+                self._wrong(path, entry.name, what, near_miss(item[:80], wanted))
+            else:
+                numbers[number] = wanted[item]
+        return replace(feed, table=numbers)
 
     def _mismatch(self, path: Path, connector: Connector, entries: Sequence[Entry]) -> str:
         """Return why the FMU has no variable of the name, kind and unit that a connector stands for, or ""."""
@@ -327,7 +351,11 @@ class _Writer:
                 indices = tuple(i + 1 for i in numbers)
                 feed = self.flat.feed(((), connector.name), indices, self._unit)
                 at = self._source(feed) if feed and feed.path in self.classes else None
-                if feed and at:
+                if feed and feed.table is not None:
+                    what = "values are mapped on their way out of the whole system, which is not supported"
+                    hint = "wire the output by itself, and map what is recorded"
+                    self.problems.append(Problem(what, connector.name, hint=hint))
+                elif feed and at:
                     name = names_of([(connector.name, *map(str, indices))])
                     found.append(wiring.shown(feed, at, next(iter(name.values()))))
                 else:

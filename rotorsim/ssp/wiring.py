@@ -14,6 +14,8 @@ from rotorsim.fmi.description.model import FmuUnit
 from rotorsim.ssp.flat import Feed
 from rotorsim.units import compatible
 
+Table = tuple[tuple[int, int], ...]  # what becomes of whole numbers
+
 
 @dataclass(frozen=True)
 class At:
@@ -44,18 +46,19 @@ class Wiring:
 
     def join(self, feeds: Iterable[tuple[Feed, At, At]]) -> None:
         """Wire every source to its target: whole ports where every entry goes to its own."""
-        groups: dict[tuple[str, str, str, str, float, float], list[tuple[At, At]]] = {}
+        groups: dict[tuple[str, str, str, str, float, float, Table], list[tuple[At, At]]] = {}
         for feed, source, target in feeds:
             line = _between(source.scale(), target.scale(), feed)
-            key = source.block, source.port.name, target.block, target.port.name, *line
+            key = source.block, source.port.name, target.block, target.port.name, *line, _whole(feed)
             groups.setdefault(key, []).append((source, target))
-        for (block, port, other, into, factor, offset), pairs in groups.items():
+        for (block, port, other, into, factor, offset, table), pairs in groups.items():
             given, wanted = pairs[0][0].port, pairs[0][1].port
             straight = [(a.k, b.k) for a, b in pairs] == [(k, k) for k in range(len(wanted.entries))]
             whole = given.shape == wanted.shape and straight
             ends = [(f"{block}.{port}", f"{other}.{into}")] if whole else [(a.end(), b.end()) for a, b in pairs]
             plain = compatible(given.unit, wanted.unit) != "same"  # converted, or not to be: a gain has no units
             for start, end in ends:
+                start = self.mapped(start, f"{other}_{into}", table)
                 start = self.transformed(
                     start, f"{other}_{into}", (factor, offset), wanted.shape if whole else (), plain
                 )
@@ -66,6 +69,21 @@ class Wiring:
         unit: FmuUnit | None = feed.unit.known if feed.unit else None
         line = _between(source.scale(), (unit.factor, unit.offset) if unit else source.scale(), feed)
         return self.transformed(source.end(), name, line, ())
+
+    def mapped(self, start: str, name: str, table: Table) -> str:
+        """Return the end that holds what a table makes of whole numbers; others stay as they are.
+
+        Broken lines: every number of the table between its neighbours, and outside lines of slope one.
+        """
+        if not table:
+            return start
+        known = dict(table)
+        points = sorted({k + step for k in known for step in (-2, -1, 0, 1, 2)})
+        values = [float(known.get(k, k)) for k in points]
+        given = {"breakpoints": [float(k) for k in points], "values": values, "outside": "extrapolate"}
+        block = self._add(f"{name}_map", {"type": "lookup_table", "parameters": given})
+        self.wires.append([start, f"{block}.input"])
+        return f"{block}.output"
 
     def transformed(
         self, start: str, name: str, line: Sequence[float], shape: Sequence[int], plain: bool = False
@@ -91,6 +109,12 @@ class Wiring:
             made = f"{name}_{self.names[name] + 1}"
         self.blocks[made] = block
         return made
+
+
+def _whole(feed: Feed) -> Table:
+    """Return the table of a feed, without what stays as it is."""
+    pairs = sorted((int(given), int(wanted)) for given, wanted in (feed.table or {}).items())
+    return tuple((given, wanted) for given, wanted in pairs if given != wanted)
 
 
 def _between(given: tuple[float, float], wanted: tuple[float, float], feed: Feed) -> tuple[float, float]:

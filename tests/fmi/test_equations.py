@@ -16,7 +16,6 @@ from scipy.integrate import solve_ivp
 from rotorsim.cosim.cosimulation import cosimulate_diagram
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
-from rotorsim.fmi.export.export import export_fmu
 from rotorsim.fmi.functions import functions_of
 from rotorsim.fmi.runtime.slave import Slave
 from rotorsim.linear.eigenmodes import modes
@@ -248,15 +247,6 @@ def test_the_command_says_what_failed_and_where_the_rest_is(plants: Path, run: A
         "is kept\n\nhint: what was computed until then is in it.csv\n"
     )
     assert len(np.loadtxt("it.csv", delimiter=",", skiprows=1)) == 100
-
-
-def test_an_fmu_inside_an_fmu_is_refused(fmu: Make, tmp_path: Path) -> None:
-    with pytest.raises(RotorsimError) as caught:
-        export_fmu(with_fmu(fmu, "rotor"), tmp_path / "nested.fmu")
-    assert str(caught.value) == (
-        "error: rotor: is an FMU: one inside another is not exported\n\n"
-        "hint: export the others by --block: what comes from it becomes an input"
-    )
 
 
 @pytest.mark.parametrize("here", [True, False])

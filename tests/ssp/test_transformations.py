@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 from rotorsim.cosim.cosimulation import cosimulate_diagram
+from rotorsim.errors import RotorsimError
 from rotorsim.model.emit.toolchain import find_compiler
+from rotorsim.model.load import load
+from rotorsim.simulation.run import simulate
 from rotorsim.ssp.to_diagram import import_ssp
 from tests.fmi.plant import make_fmu
 from tests.ssp.systems import (
@@ -25,6 +28,7 @@ from tests.ssp.systems import (
     mapping,
     parameter_set,
     ports,
+    refusal,
     system,
     table,
     typed_fmu,
@@ -177,6 +181,96 @@ def test_a_flag_is_mapped_as_the_numbers_0_and_1(
     blocks = document(imported(tmp_path, text, t__fmu=typed_fmu(tmp_path)))["blocks"]
     assert blocks["b_on_gain"]["parameters"] == {"gain": gain}
     assert blocks.get("b_on_offset", {"parameters": {"value": None}})["parameters"] == {"value": constant}
+
+
+def gears(folder: Path, name: str, items: dict[str, int]) -> bytes:
+    """Return an FMU with a whole number and an item in and out."""
+    rows = [
+        ("n", "input", 'Integer start="0"'),
+        ("m", "output", "Integer"),
+        ("gear", "input", 'Enumeration declaredType="Gear" start="1"'),
+        ("now", "output", 'Enumeration declaredType="Gear"'),
+    ]
+    more = "".join(
+        f'<ScalarVariable name="{n}" valueReference="{k}" causality="{c}" variability="discrete">'
+        f"<{t}/></ScalarVariable>"
+        for k, (n, c, t) in enumerate(rows)
+    )
+    shown = "".join(f'<Item name="{item}" value="{value}"/>' for item, value in items.items())
+    return fmu_bytes(
+        folder,
+        f'<fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{name}">'
+        f'<CoSimulation modelIdentifier="{name}"/>'
+        f'<TypeDefinitions><SimpleType name="Gear"><Enumeration>{shown}</Enumeration></SimpleType></TypeDefinitions>'
+        f"<ModelVariables>{more}</ModelVariables>"
+        '<ModelStructure><Outputs><Unknown index="2"/><Unknown index="4"/></Outputs></ModelStructure>'
+        "</fmiModelDescription>",
+    )
+
+
+def geared(folder: Path, connections: str) -> dict[str, Any]:
+    """Return the diagram of two such FMUs, whose items have other numbers."""
+    kinds = {"n": "input", "gear": "input", "m": "output", "now": "output"}
+    types = {"n": "Integer", "m": "Integer", "gear": 'Enumeration name="Gear"', "now": 'Enumeration name="Gear"'}
+    own = "".join(f'<ssd:Connector name="{n}" kind="{k}"><ssc:{types[n]}/></ssd:Connector>' for n, k in kinds.items())
+    own = f"<ssd:Connectors>{own}</ssd:Connectors>"
+    both = "".join(f'<ssd:Component name="{n}" source="resources/{n}.fmu">{own}</ssd:Component>' for n in "ab")
+    files = {"a__fmu": gears(folder, "a", {"low": 1, "high": 2}), "b__fmu": gears(folder, "b", {"high": 7, "slow": 9})}
+    return document(imported(folder, system(both, connections), **files))
+
+
+def test_whole_numbers_are_mapped_and_others_stay(tmp_path: Path) -> None:
+    """3 becomes 5, 4 becomes 0, all others are what they were, also outside the table."""
+    found = geared(tmp_path, wire("a.m", "b.n", table("Integer", ("3", "5"), ("4", "0"))))
+    assert found["wires"] == [["a.m", "b_n_map.input"], ["b_n_map.output", "b.n"]]
+    block = found["blocks"]["b_n_map"]
+    assert block["type"] == "lookup_table"
+    diagram = load(
+        {
+            "name": "map",
+            "blocks": {"ramp": {"type": "ramp", "parameters": {"slope": 1.0}}, "map": block},
+            "wires": [["ramp.output", "map.input"]],
+            "solver": {"step": 1.0, "stop": 9.0},
+            "record": ["map.output"],
+        }
+    )
+    assert list(simulate(diagram)["map.output"]) == [0.0, 1.0, 2.0, 5.0, 0.0, 5.0, 6.0, 7.0, 8.0, 9.0]
+
+
+def test_items_are_mapped_by_their_names_to_the_numbers_of_the_other(tmp_path: Path) -> None:
+    found = geared(tmp_path, wire("a.now", "b.gear", table("Enumeration", ("low", "slow"))))
+    given = found["blocks"]["b_gear_map"]["parameters"]
+    known = dict(zip(given["breakpoints"], given["values"], strict=True))
+    assert (known[1.0], known[2.0]) == (9.0, 7.0)  # low is slow, high is high
+
+
+def test_mappings_that_have_no_meaning_are_refused(tmp_path: Path) -> None:
+    """Items that the target has not; numbers that are not whole; a way out of the system; a factor on the way."""
+    with pytest.raises(RotorsimError, match=r"b\.gear: item 'low' comes as 'fast', which is none of its items"):
+        geared(tmp_path, wire("a.now", "b.gear", table("Enumeration", ("low", "fast"))))
+    one = table("Integer", ("1", "2"))
+    bare = "".join(
+        f'<ssd:Component name="{n}" source="resources/m.fmu"><ssd:Connectors><ssd:Connector name="q" kind="output"/>'
+        '<ssd:Connector name="s" kind="input"/></ssd:Connectors></ssd:Component>'
+        for n in "ab"
+    )
+    sub = '<ssd:System name="s"><ssd:Connectors><ssd:Connector name="way" kind="input"/></ssd:Connectors>'
+    sub += f"<ssd:Elements>{bare}</ssd:Elements><ssd:Connections>{wire('way', 'b.s', linear(2))}</ssd:Connections>"
+    out = '<ssd:Connectors><ssd:Connector name="out" kind="output"/></ssd:Connectors>'
+    cases = {
+        "real": (system(bare, wire("a.q", "b.s", one)), "b.s: whole numbers are mapped, and q is of type Float64"),
+        "out": (
+            system(bare, wire("a.q", "out", one), before=out),
+            "out: values are mapped on their way out of the whole system, which is not supported",
+        ),
+        "factor": (
+            system(bare.replace('"a"', '"c"') + f"{sub}</ssd:System>", wire("c.q", "s.way", one)),
+            "c.q -> s.b.s: a mapping of values and a factor or offset are on one way, which is not supported",
+        ),
+    }
+    for name, (text, what) in cases.items():
+        (tmp_path / name).mkdir()
+        assert what in refusal(tmp_path / name, text)
 
 
 # ---- connectors of systems ----

@@ -98,6 +98,8 @@ def _compile(folder: Path, sources: Mapping[str, bytes], command: list[str], pla
     command = [*command, "-o", str(target), str(folder / next(iter(sources)))]
     if suffix_of(platform) != ".dll":
         command.append("-lm")
+    if suffix_of(platform) == ".so" and "nested.h" in sources:
+        command.append("-ldl")  # a part of libc since glibc 2.34
     try:
         run_compiler(command, platform)
         library = target.read_bytes()

@@ -13,6 +13,7 @@ from rotorsim.errors import Problem, RotorsimError, escape, near_miss
 from rotorsim.files import atomic_target
 from rotorsim.fmi.description.platforms import library_folder
 from rotorsim.fmi.export.build import build_library, find_platforms, suffix_of
+from rotorsim.fmi.export.nested import carried_files, check_platforms, why_not_nested
 from rotorsim.fmi.export.sources import make_sources, with_token
 from rotorsim.fmi.export.variables import Interface, make_interface
 from rotorsim.fmi.export.writer import build_description, model_description
@@ -34,9 +35,6 @@ class Exported:
     interface: Interface
     libraries: dict[str, int]
     warnings: tuple[Problem, ...] = ()
-
-
-NESTED = "export the others by --block: what comes from it becomes an input"
 
 
 def export_fmu(
@@ -61,6 +59,7 @@ def export_fmu(
     output port outside that feeds the blocks, under its name, instead of the sum of what an additive port gets.
 
     Co-simulation takes the diagram's own step, Runge-Kutta of order 4. The same diagram gives the same bytes.
+    FMUs for Model Exchange among the blocks go along in the resources, and their code runs where the export does.
     Raises RotorsimError.
     """
     wanted_inputs = list(dict.fromkeys(inputs))
@@ -69,6 +68,7 @@ def export_fmu(
     wanted = find_platforms(platforms)
     part = open_part(diagram, chosen, inputs=wanted_inputs, by_source=by_source)
     interface = make_interface(part, outputs=outputs, arrays=arrays, fixed=fixed)
+    check_platforms(interface.nested, wanted)
     draft, optimise = make_sources(interface, version)
     main = next(iter(draft))
     content = b"".join([*draft.values(), model_description(interface, version, "", [main])])
@@ -85,6 +85,7 @@ def export_fmu(
     if version == "3.0":
         options = " ".join([optimise, *(flag for flag in FLAGS if flag.startswith("-f") and flag != "-fPIC")])
         files["sources/buildDescription.xml"] = build_description(interface, [main], options)
+    files |= carried_files(interface.nested)
     files["documentation/index.html"] = _documentation(interface, main, optimise).encode()
     path = Path(file)
     size = sum(map(len, files.values()))
@@ -113,11 +114,7 @@ def _check(diagram: Diagram, blocks: Sequence[str], version: str, arrays: bool, 
             else []
         ),
         *(Problem("no such block", block, hint=near_miss(block, diagram.nodes)) for block in unknown),
-        *(
-            Problem("is an FMU: one inside another is not exported", block, diagram.nodes[block].place, NESTED)
-            for block in blocks
-            if block not in unknown and diagram.nodes[block].block.opaque
-        ),
+        *why_not_nested(diagram, [block for block in blocks if block not in unknown]),
     ]
     for name in (name for name in inputs if name not in additive):
         feeding = [w.source.block for w in diagram.wires if f"{w.target.block}.{w.target.port}" == name]
@@ -144,13 +141,16 @@ def _documentation(interface: Interface, main: str, optimise: str) -> str:
     diagram = interface.part.diagram
     words = diagram.document.get("description")
     what = escape(words) if isinstance(words, str) else ""
-    command = f"cc {' '.join(FLAGS)} {optimise} sources/{main} -o {interface.identifier}.so -lm"
+    libraries = "-lm -ldl" if interface.nested else "-lm"
+    command = f"cc {' '.join(FLAGS)} {optimise} sources/{main} -o {interface.identifier}.so {libraries}"
+    inside = [f"{one.block}: {one.kind.identifier} (FMI {one.description.version})" for one in interface.nested]
+    held = f"<p>FMUs inside, in resources: {escape(', '.join(inside))}.</p>\n" if inside else ""
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{escape(diagram.name)}</title></head><body>
 <h1>{escape(diagram.name)}</h1>
 <p>{what}</p>
 <p>Blocks: {escape(", ".join(interface.part.blocks))}. All quantities are in SI units.</p>
-<p>Co-simulation steps by {diagram.solver.step!r} s (Runge-Kutta of order 4), inputs held unless their derivatives
+{held}<p>Co-simulation steps by {diagram.solver.step!r} s (Runge-Kutta of order 4), inputs held unless their derivatives
 are set; a communication step that is no multiple of it is cut into equal steps not above it. Sampled blocks act at
 their hits exactly, those at the end of a step with the inputs of that step.</p>
 <p>Library from the sources: <code>{escape(command)}</code></p>

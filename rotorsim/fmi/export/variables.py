@@ -14,6 +14,7 @@ import numpy as np
 
 from rotorsim.block import Shape, size_of
 from rotorsim.fmi.export.dependencies import Dependencies, find_dependencies
+from rotorsim.fmi.export.nested import Nested, check_outputs, find_nested
 from rotorsim.model.part import Part
 from rotorsim.model.trace.diagram import Signal
 from rotorsim.model.trace.order import block_traces
@@ -75,7 +76,7 @@ class Interface:
     """All variables of an FMU in the order of their value references.
 
     record: the signals that the kernel records, in the order of the outputs. parameters: one for every entry.
-    events: names of the event indicators. dependencies: see `find_dependencies`.
+    events: names of the event indicators. dependencies: see `find_dependencies`. nested: FMUs among its blocks.
     """
 
     part: Part
@@ -90,6 +91,7 @@ class Interface:
     arrays: bool = False
     identifier: str = ""
     units: tuple[str, ...] = field(default=())
+    nested: tuple[Nested, ...] = ()
 
     def of_role(self, *roles: str) -> list[Variable]:
         """Return the variables of some roles."""
@@ -128,7 +130,9 @@ def make_interface(
     Raises RotorsimError for signals that do not exist.
     """
     record = _without_parts_of_others(part.record_names(outputs) if outputs else _default_outputs(part))
-    collector = _Collector(part)
+    nested = find_nested(part)
+    check_outputs(part, nested, record)
+    collector = _Collector(part, nested)
     parameters = collector.add_parameters(fixed)
     for name, signal in part.inputs.items():
         collector.add_port(name, INPUT, signal.shape, signal.unit, start=np.zeros(size_of(signal.shape)))
@@ -143,7 +147,7 @@ def make_interface(
         collector.add_port(name, OUTPUT, shape, unit, variability=kind, initial="calculated")
     x0, z0 = part.initial()
     own = part.n_z - sum(size_of(signal.shape) for signal in part.inputs.values())
-    for state in collector.add_states(STATE, part.states, x0, x_const, "continuous", _nominals(part)):
+    for state in collector.add_states(STATE, part.states, x0, x_const, "continuous", _nominals(part, nested)):
         collector.add(
             f"der({state.name})",
             DERIVATIVE,
@@ -168,6 +172,7 @@ def make_interface(
         arrays=arrays,
         identifier=_identifier(part),
         units=tuple(sorted({v.unit for v in collector.variables if v.unit})),
+        nested=nested,
     )
 
 
@@ -207,8 +212,8 @@ def _constant_entries(expression: Any) -> np.ndarray:
 class _Collector:
     """Adds variables one after the other, numbered, under names that do not clash."""
 
-    def __init__(self, part: Part) -> None:
-        self.part = part
+    def __init__(self, part: Part, nested: Sequence[Nested] = ()) -> None:
+        self.part, self.nested = part, nested
         self.diagram = part.diagram
         self.variables: list[Variable] = []
         self.next = 1
@@ -321,6 +326,8 @@ class _Collector:
         """Return the places in p that act only at the start: sample times, seeds, and what only x0 and z0 use."""
         trace = self.part.trace
         stuck = {s.period for s in trace.samplers} | {s.seed for s in trace.samplers if s.seed is not None}
+        for name in (name for one in self.nested for name in one.fixed if name in self.part.parameters):
+            stuck.update(range(*self.part.parameters[name].indices(self.part.n_p)))
         start = ca.vertcat(trace.x0, trace.z0)
         if start.numel() == 0 or trace.p.numel() == 0:
             return stuck
@@ -330,11 +337,12 @@ class _Collector:
         return stuck | set(np.flatnonzero(initial & ~used).tolist())
 
     def add_events(self) -> None:
-        """Add the zero crossings that blocks declare."""
+        """Add the zero crossings that blocks declare, then the event indicators of FMUs inside."""
         names = {variable.name for variable in self.variables}
         blocks = [name for name in self.diagram.nodes if name in self.part.blocks]
         traces = block_traces(self.diagram) if self.part.trace.event_blocks else {}
         events = [(f"{b}.{key}", e.shape[0]) for b in blocks if b in traces for key, e in traces[b].events.items()]
+        events += [(f"{one.block}.event_indicators", one.n_events) for one in self.nested if one.n_events]
         for name, n in events:
             shown = f"{name}_event" if name.replace("/", ".") in names else name
             self.add(
@@ -342,8 +350,10 @@ class _Collector:
             )
 
 
-def _nominals(part: Part) -> dict[str, float]:
+def _nominals(part: Part, nested: Sequence[Nested]) -> dict[str, float]:
     """Return the typical size of every state: vibrations of 10 um and 10 urad at 1000 rad/s; 1 for other quantities.
+
+    An FMU inside says it itself.
 
     A state without a unit holds lengths and angles, or their rates where it is the derivative of another state.
     """
@@ -360,7 +370,7 @@ def _nominals(part: Part) -> dict[str, float]:
         while part.states[chain[-1]].unit is None and rate_of.get(chain[-1], name) not in chain:
             chain.append(rate_of[chain[-1]])
         found[name] = _nominal(part.states[chain[-1]].unit) * 1e3 ** (len(chain) - 1)
-    return found
+    return found | {f"{one.block}.states": one.nominal for one in nested if f"{one.block}.states" in part.states}
 
 
 def _nominal(unit: str | None) -> float:

@@ -62,10 +62,14 @@ def build_description(interface: Interface, sources: Sequence[str], options: str
     for name in sources:
         SubElement(files, "SourceFile", name=name)
     SubElement(configuration, "Library", name="m", description="C mathematics (not on Windows)", external="true")
+    if interface.nested:
+        SubElement(configuration, "Library", name="dl", description="dlopen (Linux)", external="true")
     return xml_bytes(root)
 
 
 def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
     return value if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]
 
 
@@ -92,22 +96,25 @@ def _root(interface: Interface, version: str, token: str) -> Element:
 def _kinds(root: Element, interface: Interface, version: str, sources: Sequence[str]) -> None:
     two = version == "2.0"
     state = "FMUstate" if two else "FMUState"
+    alone = _text(not interface.nested)  # derivatives and serialised states of FMUs inside are not passed on
+    saves = all(one.kind.can_get_set_state for one in interface.nested)
     more = (
-        {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
+        {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": alone}
         if two
-        else {"providesDirectionalDerivatives": "true", "providesAdjointDerivatives": "true"}
+        else {"providesDirectionalDerivatives": alone, "providesAdjointDerivatives": alone}
     )
     common = {
         "modelIdentifier": interface.identifier,
-        "canBeInstantiatedOnlyOncePerProcess": "false",
-        f"canGetAndSet{state}": "true",
-        f"canSerialize{state}": "true",
+        "canBeInstantiatedOnlyOncePerProcess": _text(any(one.kind.once_per_process for one in interface.nested)),
+        f"canGetAndSet{state}": _text(saves),
+        f"canSerialize{state}": alone,
         **more,
     }
-    varies = {"canHandleVariableCommunicationStepSize": "true", "maxOutputDerivativeOrder": "1"}
+    order = "0" if interface.nested else "1"
+    varies = {"canHandleVariableCommunicationStepSize": "true", "maxOutputDerivativeOrder": order}
     internal = {"fixedInternalStepSize": _text(interface.part.diagram.solver.step)}
     own = {
-        "ModelExchange": {"completedIntegratorStepNotNeeded": "true"} if two else {},
+        "ModelExchange": _steps(interface, two),
         "CoSimulation": varies | ({"canInterpolateInputs": "true"} if two else internal),
     }
     for tag, given in own.items():
@@ -115,6 +122,14 @@ def _kinds(root: Element, interface: Interface, version: str, sources: Sequence[
         files = SubElement(kind, "SourceFiles") if two else kind
         for name in sources if two else ():
             SubElement(files, "File", name=name)
+
+
+def _steps(interface: Interface, two: bool) -> dict[str, str]:
+    """Return whether completed steps have to be told."""
+    needed = any(one.kind.completed_step_needed and one.description.states for one in interface.nested)
+    if two:
+        return {"completedIntegratorStepNotNeeded": _text(not needed)}
+    return {"needsCompletedIntegratorStep": "true"} if needed else {}
 
 
 # ---- units ----
@@ -190,6 +205,7 @@ def _indices(interface: Interface) -> dict[int, int]:
 def _unknowns(interface: Interface, version: str) -> dict[str, list[tuple[int, dict[int, str]]]]:
     """Return outputs, derivatives, initial unknowns and events: reference, and those it depends on with their kind.
 
+    The indicators of FMUs inside depend on all that may move: nothing more is told of them.
     Parameters are knowns at the start; in FMI 3.0 always, and what is not listed has derivative zero (2.4.8).
     """
     found = interface.dependencies
@@ -221,7 +237,12 @@ def _unknowns(interface: Interface, version: str) -> dict[str, list[tuple[int, d
         for columns, kinds in zip(found.by_column, found.kinds, strict=True)
     ]
     if version == "3.0":
+<<<<<<< HEAD
         moving = [row | dict.fromkeys(set_by(p), DEPENDENT) for row, p in zip(moving, found.by_parameter, strict=True)]
+=======
+        moving = [sorted({*row, *set_by(p)}) for row, p in zip(moving, found.by_parameter, strict=True)]
+    moving += [sorted(map(known, range(n_x + n_u + 1)))] * (n_x + n_y + interface.count(EVENT) - len(moving))
+>>>>>>> h_nested
     calculated = [k for k in range(n_x) if not interface.x_exact[k]]
     return {
         "outputs": [(at[OUTPUT] + k, moving[n_x + k]) for k in range(n_y)],

@@ -102,9 +102,17 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
     )
 
 
-def emit_c(kernel: Kernel) -> str:
-    """Return the whole C source of a diagram: generated functions, then the runtime."""
-    program, called = kernel.program, kernel.called
+def emit_c(kernel: Kernel, calling: tuple[Sequence[str], str] | None = None) -> str:
+    """Return the whole C source of a diagram: generated functions, then the runtime.
+
+    calling: names of the functions that it calls, and the C text of `rs_call(k, arguments, results)`, by which it calls
+    number k of them; default: those of a library that is connected (`rotorsim.model.called.connect`).
+    """
+    program = kernel.program
+    table, connect = call_table(kernel.called)
+    called: Sequence[str] = [*kernel.called]
+    if calling is not None:
+        (called, table), connect = calling, ""
     constants = {node: f"c[{k}]" for k, node in enumerate(kernel.constants)}
     forcing = {node: f"g[{k}]" for k, node in enumerate(kernel.forcing)}
     given = {**forcing, **constants}
@@ -115,7 +123,7 @@ def emit_c(kernel: Kernel) -> str:
     ) -> tuple[str, int]:
         targets = [(f"{out}[{k}]", node) for k, node in enumerate(nodes)]
         arguments = f"{inputs}, double *restrict {out}, double *restrict work"
-        return Writer(program, known, array_leaf, [*called]).text(name, arguments, f"{call}, {out}, work", targets)
+        return Writer(program, known, array_leaf, called).text(name, arguments, f"{call}, {out}, work", targets)
 
     at_time = "double t, const double *restrict p, const double *restrict c"
     parts = [
@@ -127,7 +135,7 @@ def emit_c(kernel: Kernel) -> str:
     if kernel.trace.samplers:
         at_hit = f"{state}, const double *w, const double *hit"
         parts.append(written("rs_update", given, at_hit, "x, z, p, c, g, w, hit", "zn", kernel.update))
-    parts.append(_unrolled_step(kernel) if kernel.unrolled else (_staged_step(), 0))
+    parts.append(_unrolled_step(kernel, called) if kernel.unrolled else (_staged_step(), 0))
     sizes = {
         **kernel.sizes,
         "RS_NC": len(kernel.constants),
@@ -149,7 +157,6 @@ def emit_c(kernel: Kernel) -> str:
         if values:
             head.append(f"static const int {name}[] = {{{', '.join(map(str, values))}}};")
     runtime = resources.files("rotorsim.model.emit").joinpath("runtime.c").read_text(encoding="utf-8")
-    table, connect = call_table(called)
     return "\n".join([*head, table, *(text for text, _ in parts), runtime, connect])
 
 
@@ -212,7 +219,7 @@ def step_program(kernel: Kernel) -> StepProgram:
     return StepProgram(step, tuple(x), tuple(y), tuple(new))
 
 
-def _unrolled_step(kernel: Kernel) -> tuple[str, int]:
+def _unrolled_step(kernel: Kernel, called: Sequence[str]) -> tuple[str, int]:
     """Write the step as one C function."""
     step = step_program(kernel)
 
@@ -224,7 +231,7 @@ def _unrolled_step(kernel: Kernel) -> tuple[str, int]:
     given = {node: f"x_{i}" for i, node in enumerate(step.x)}
     targets = [(f"y[{k}]", node) for k, node in enumerate(step.y)]
     targets += [(f"x[{k}]", step.new[i]) for k, i in enumerate(kernel.order)]
-    writer = Writer(step.program, given, leaf, [*kernel.called])
+    writer = Writer(step.program, given, leaf, called)
     text, size = writer.text("rs_step", STEP_ARGUMENTS, "x, z, p, c, g0, gm, g1, h, y, k, work", targets, whole=True)
     return text.replace("{\n", "{\n" + loads + "  (void)k;\n", 1), size
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import casadi as ca
 
-from rotorsim.model.called import STEADY
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 
@@ -167,14 +166,9 @@ class Writer:
             return f"  const double v{number} = {self._expression(number, operand)};"
         given = ", ".join(map(operand, call.operands)) or "0.0"
         which, size = self.called.index(call.name), max(call.function.nnz_out(), 1)
-        asked = f"rs_called[{which}].function(rs_called[{which}].context, a{number}, v{number});"
-        if STEADY not in call.name:
-            return f"  const double a{number}[] = {{{given}}};\n  double v{number}[{size}];\n  {asked}"
-        return (  # with what is not a number something has failed
-            f"  const double a{number}[] = {{{given}}};\n  static double l{number}[{max(len(call.operands), 1)}];\n"
-            f"  static double v{number}[{size}] = {{NAN}};\n"
-            f"  if (isnan(v{number}[0]) || memcmp(a{number}, l{number}, sizeof l{number})) {{\n"
-            f"    {asked}\n    memcpy(l{number}, a{number}, sizeof l{number});\n  }}"
+        return (
+            f"  const double a{number}[] = {{{given}}};\n  double v{number}[{size}];\n"
+            f"  rs_call({which}, a{number}, v{number});"
         )
 
     def _expression(self, number: int, operand: Callable[[int], str]) -> str:
@@ -196,12 +190,13 @@ def called_functions(programs: Iterable[Program]) -> dict[str, Any]:
 
 
 def call_table(called: Mapping[str, Any]) -> tuple[str, str]:
-    """Return the C text of the table of called functions, and of `rs_connect`, by which a program fills it."""
+    """Return the C text of `rs_call` with the table of called functions, and of `rs_connect`, which fills the table."""
     if not called:
         return "", ""
     names = "".join(f"/* {name} */\n" for name in called)
     entry = "struct rs_entry { void (*function)(void *, const double *, double *); void *context; };\n"
     table = f"{names}{entry}static struct rs_entry rs_called[{len(called)}];\n"
+    table += "#define rs_call(k, given, results) rs_called[k].function(rs_called[k].context, given, results)\n"
     return table, "RS_EXPORT void rs_connect(const void *from) { memcpy(rs_called, from, sizeof rs_called); }\n"
 
 

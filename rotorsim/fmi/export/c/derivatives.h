@@ -1,5 +1,21 @@
 /* Directional derivatives, forward and adjoint: they follow instance.h. */
 
+#if RF_NESTED /* not offered: those inside may have none */
+static int rf_directional(rf_instance *i, const char *function, const unsigned *unknowns, size_t n_unknowns,
+                          const unsigned *knowns, size_t n_knowns, const double *seed, long long n_seed, double *result,
+                          long long n_result, int forward) {
+  (void)unknowns, (void)n_unknowns, (void)knowns, (void)n_knowns, (void)seed, (void)n_seed, (void)result, (void)n_result;
+  (void)forward;
+  return rf_log(i, RF_ERROR, "%s: this FMU holds other FMUs and offers no derivatives", function);
+}
+
+static int rf_output_rates(rf_instance *i, const char *function, const unsigned *references, size_t n,
+                           const int *orders, double *values, long long n_values) {
+  (void)references, (void)n, (void)orders, (void)values, (void)n_values;
+  return rf_log(i, RF_ERROR, "%s: this FMU holds other FMUs and offers no derivatives", function);
+}
+#else
+
 /* ---- derivatives of [state derivatives; outputs; events] by [states; discrete states and inputs; time; parameters];
    in initialization mode states that follow from parameters are carried along, and states are unknowns too ---- */
 
@@ -138,3 +154,4 @@ static int rf_output_rates(rf_instance *i, const char *function, const unsigned 
   }
   return RF_OK;
 }
+#endif

@@ -54,8 +54,8 @@ RF_EXPORT const char *FMI(GetVersion)(void) { return "2.0"; }
 RF_EXPORT fmi2Component FMI(Instantiate)(fmi2String name, fmi2Type kind, fmi2String guid, fmi2String resources,
                                          const fmi2CallbackFunctions *functions, fmi2Boolean visible,
                                          fmi2Boolean log) {
-  (void)resources, (void)visible;
-  return rf_create(name, guid, kind, log, functions ? functions->componentEnvironment : 0,
+  (void)visible;
+  return rf_create(name, guid, resources, kind, log, functions ? functions->componentEnvironment : 0,
                    functions ? (void (*)(void))functions->logger : 0);
 }
 
@@ -115,7 +115,10 @@ RF_EXPORT fmi2Status FMI(NewDiscreteStates)(fmi2Component c, fmi2EventInfo *info
   memset(info, 0, sizeof *info);
   info->nextEventTimeDefined = next < HUGE_VAL;
   info->nextEventTime = next < HUGE_VAL ? next : 0.0;
-  return RF_OK;
+  info->terminateSimulation = i->ended;
+  info->valuesOfContinuousStatesChanged = rf_changed(i, 0);
+  info->nominalsOfContinuousStatesChanged = rf_changed(i, 1);
+  return rf_outcome(i);
 }
 
 /* ---- co-simulation ---- */
@@ -163,8 +166,8 @@ RF_EXPORT fmi2Status FMI(GetIntegerStatus)(fmi2Component c, int kind, fmi2Intege
 
 RF_EXPORT fmi2Status FMI(GetBooleanStatus)(fmi2Component c, int kind, fmi2Boolean *value) {
   INSTANCE;
-  *value = 0;
-  return kind == 3 ? RF_OK : RF_DISCARD; /* Terminated: never by itself */
+  *value = i->ended;
+  return kind == 3 ? RF_OK : RF_DISCARD; /* Terminated: by an FMU inside */
 }
 
 RF_EXPORT fmi2Status FMI(GetStringStatus)(fmi2Component c, int kind, fmi2String *value) {

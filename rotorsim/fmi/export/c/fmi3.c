@@ -42,8 +42,8 @@ RF_EXPORT const char *FMI(GetVersion)(void) { return "3.0"; }
 RF_EXPORT fmi3Instance FMI(InstantiateModelExchange)(fmi3String name, fmi3String token, fmi3String resources,
                                                      fmi3Boolean visible, fmi3Boolean log, void *environment,
                                                      fmi3LogMessageCallback message) {
-  (void)resources, (void)visible;
-  return rf_create(name, token, 0, log, environment, (fmi3Callback)message);
+  (void)visible;
+  return rf_create(name, token, resources, 0, log, environment, (fmi3Callback)message);
 }
 
 RF_EXPORT fmi3Instance FMI(InstantiateCoSimulation)(fmi3String name, fmi3String token, fmi3String resources,
@@ -51,12 +51,12 @@ RF_EXPORT fmi3Instance FMI(InstantiateCoSimulation)(fmi3String name, fmi3String 
                                                     fmi3Boolean early_return, const fmi3ValueReference required[],
                                                     size_t n_required, void *environment,
                                                     fmi3LogMessageCallback message, fmi3Callback intermediate) {
-  (void)resources, (void)visible, (void)early_return, (void)required, (void)n_required, (void)intermediate;
+  (void)visible, (void)early_return, (void)required, (void)n_required, (void)intermediate;
   if (event_mode) {
     if (message) message(environment, RF_ERROR, "logStatusError", "this FMU has no event mode in co-simulation");
     return 0;
   }
-  return rf_create(name, token, 1, log, environment, (fmi3Callback)message);
+  return rf_create(name, token, resources, 1, log, environment, (fmi3Callback)message);
 }
 
 RF_EXPORT fmi3Instance FMI(InstantiateScheduledExecution)(fmi3String name, fmi3String token, fmi3String resources,
@@ -190,10 +190,13 @@ RF_EXPORT fmi3Status FMI(UpdateDiscreteStates)(fmi3Instance c, fmi3Boolean *need
                                                fmi3Float64 *next_time) {
   ALLOW(RF_EVENT);
   const double next = rf_update(i);
-  *needed = *terminate = *nominals = *values = false;
+  *needed = false;
+  *terminate = i->ended;
+  *values = rf_changed(i, 0);
+  *nominals = rf_changed(i, 1);
   *next_defined = next < HUGE_VAL;
   *next_time = next < HUGE_VAL ? next : 0.0;
-  return RF_OK;
+  return rf_outcome(i);
 }
 
 /* ---- model exchange ---- */
@@ -222,7 +225,8 @@ RF_EXPORT fmi3Status FMI(DoStep)(fmi3Instance c, fmi3Float64 time, fmi3Float64 s
   INSTANCE;
   (void)no_set_state;
   const int status = rf_step(i, __func__, time, size);
-  *event_needed = *terminate = *early_return = false;
+  *event_needed = *early_return = false;
+  *terminate = i->ended;
   *last_time = i->d[RF_TIME];
-  return status;
+  return i->ended && status == RF_DISCARD ? RF_OK : status;
 }

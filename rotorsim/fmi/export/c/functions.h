@@ -36,14 +36,16 @@ RF_EXPORT void FMI(FreeInstance)(rf_component c) { rf_destroy((rf_instance *)c);
 
 RF_EXPORT rf_status FMI(ExitInitializationMode)(rf_component c) {
   ALLOW(RF_INITIALISING);
-  rf_exit_initialisation(i);
-  return RF_OK;
+  return rf_exit_initialisation(i);
 }
 
 RF_EXPORT rf_status FMI(Terminate)(rf_component c) {
   ALLOW(RF_EVENT | RF_CONTINUOUS | RF_STEPPING);
   i->d[RF_PHASE] = RF_TERMINATED;
-  return RF_OK;
+#if RF_NESTED
+  rf_terminate_inners(i);
+#endif
+  return rf_outcome(i);
 }
 
 RF_EXPORT rf_status FMI(Reset)(rf_component c) {
@@ -63,27 +65,25 @@ RF_EXPORT rf_status RF_STATE_FUNCTION(Get)(rf_component c, rf_state *state) {
 
 RF_EXPORT rf_status RF_STATE_FUNCTION(Set)(rf_component c, rf_state state) {
   INSTANCE;
-  return rf_restore(i, __func__, (const double *)state);
+  return rf_restore(i, __func__, state);
 }
 
 RF_EXPORT rf_status RF_STATE_FUNCTION(Free)(rf_component c, rf_state *state) {
-  (void)c;
-  if (state) free(*state), *state = 0;
+  INSTANCE;
+  if (state) rf_free_saved(i, *state), *state = 0;
   return RF_OK;
 }
 
 RF_EXPORT rf_status FMI(RF_PASTE(RF_PASTE(Serialized, RF_STATE), Size))(rf_component c, rf_state state, size_t *size) {
   INSTANCE;
   (void)state;
-  *size = sizeof i->d;
+  *size = rf_serialised(i);
   return RF_OK;
 }
 
 RF_EXPORT rf_status RF_STATE_FUNCTION(Serialize)(rf_component c, rf_state state, RF_BYTE bytes[], size_t size) {
   INSTANCE;
-  if (!state || size < sizeof i->d) return rf_log(i, RF_ERROR, "%s: no state, or too few bytes", __func__);
-  memcpy(bytes, state, sizeof i->d);
-  return RF_OK;
+  return rf_serialise(i, __func__, state, bytes, size);
 }
 
 RF_EXPORT rf_status FMI(RF_DESERIALIZE)(rf_component c, const RF_BYTE bytes[], size_t size, rf_state *state) {
@@ -107,10 +107,15 @@ RF_EXPORT rf_status FMI(EnterContinuousTimeMode)(rf_component c) {
 
 RF_EXPORT rf_status FMI(CompletedIntegratorStep)(rf_component c, RF_BOOLEAN no_set_state, RF_BOOLEAN *enter_event_mode,
                                                  RF_BOOLEAN *terminate) {
-  (void)no_set_state;
   ALLOW(RF_CONTINUOUS);
   *enter_event_mode = *terminate = 0;
-  return RF_OK;
+#if RF_NESTED
+  *enter_event_mode = rf_completed(i, no_set_state) != 0;
+  *terminate = i->ended != 0;
+#else
+  (void)no_set_state;
+#endif
+  return rf_outcome(i);
 }
 
 RF_EXPORT rf_status FMI(SetTime)(rf_component c, double time) {

@@ -62,12 +62,18 @@ enum { RF_LOG_ERRORS = 1, RF_LOG_WARNINGS = 2, RF_LOG_EVENTS = 4 };
 #define RF_AT_M (RF_AT_SLOPE + RF_NU)
 #define RF_TOTAL (RF_AT_M + RS_SIZE)
 
-typedef struct {
-  double d[RF_TOTAL];
+typedef struct rf_instance {
+  double d[RF_TOTAL]; /* in front: nested.h finds the instance by p */
   double y[RS_NY + 1], rate[RS_NX + 1], event[RF_NE + 1], row[RS_NY + 1];
   double extra[RF_NC + 1], seed[RF_N_KNOWN + RF_NP + 1], result[RF_N_UNKNOWN + RS_NX + 1];
   double begun[RS_NX + RS_NZ + 1], more[RF_N_UNKNOWN + RF_NP + 1], work[RF_WORK + 1];
-  int log;
+  int log, status, ended; /* status: of what was computed for the function at work; ended: the end was asked for */
+#if RF_NESTED
+  double held[RF_TOTAL];
+  rf_switching at;
+  rs_function calls[RF_CALLED];
+  rf_inner inner[RF_NESTED];
+#endif
   void *environment;
   void (*callback)(void);
   char *name;
@@ -117,6 +123,20 @@ static int rf_stale(const rf_instance *i, int what) { return ((int)i->d[RF_STALE
 static void rf_soil(rf_instance *i, int what) { i->d[RF_STALE] = (int)i->d[RF_STALE] | what; }
 static void rf_clean(rf_instance *i, int what) { i->d[RF_STALE] = (int)i->d[RF_STALE] & ~what; }
 
+/* Return the status of what was computed, for the importer, and forget it. */
+static int rf_outcome(rf_instance *i) {
+  const int status = i->status;
+  i->status = RF_OK;
+  if (status >= RF_ERROR) i->d[RF_PHASE] = RF_FAILED;
+  if (status >= RF_DISCARD) rf_soil(i, RF_STALE_G | RF_STALE_VALUES);
+  return status;
+}
+
+#if RF_NESTED
+static int rf_look(rf_instance *i, double *z);
+#include "nested.h"
+#endif
+
 /* Bring initial states, constants and the forcing of this instant up to date. */
 static void rf_refresh(rf_instance *i) {
   double *p = rf_p(i), *m = rf_m(i);
@@ -157,6 +177,9 @@ static void rf_indicators(rf_instance *i) {
   rf_refresh_extra(i);
   if (!rf_stale(i, RF_STALE_EVENT)) return;
   rf_event(i->d[RF_TIME], rf_x(i), rf_z(i), rf_p(i), i->extra, i->event, i->work);
+#if RF_NESTED
+  rf_look(i, i->event + RF_NE - RF_NESTED_Z);
+#endif
   rf_clean(i, RF_STALE_EVENT);
 }
 
@@ -173,10 +196,14 @@ static void rf_begin(rf_instance *i, int kind) {
   d[RF_PHASE] = RF_INSTANTIATED;
   d[RF_STOP] = HUGE_VAL;
   rf_soil(i, RF_STALE_ALL);
+#if RF_NESTED
+  rf_restart_inners(i);
+#endif
 }
 
-static rf_instance *rf_create(const char *name, const char *token, int kind, int log, void *environment,
-                              void (*callback)(void)) {
+/* resources: their location, a file URI or a path. */
+static rf_instance *rf_create(const char *name, const char *token, const char *resources, int kind, int log,
+                              void *environment, void (*callback)(void)) {
   rf_instance *i = (rf_instance *)calloc(1, sizeof *i);
   const size_t length = name ? strlen(name) : 0;
   if (!i) return 0;
@@ -191,13 +218,21 @@ static rf_instance *rf_create(const char *name, const char *token, int kind, int
     rf_log(i, RF_ERROR, "the GUID or token %s is not that of this FMU, " RF_TOKEN, token ? token : "(none)");
   } else {
     rf_begin(i, kind);
+#if RF_NESTED
+    if (!rf_create_inners(i, resources)) return i;
+#else
+    (void)resources;
     return i;
+#endif
   }
   free(i->name), free(i);
   return 0;
 }
 
 static void rf_destroy(rf_instance *i) {
+#if RF_NESTED
+  if (i) rf_destroy_inners(i);
+#endif
   if (i) free(i->name), free(i);
 }
 
@@ -265,7 +300,7 @@ static int rf_get(rf_instance *i, const char *function, const unsigned *referenc
     }
   }
   if (n_values >= 0 && at != n_values) return rf_log(i, RF_ERROR, "%s: too many values", function);
-  return RF_OK;
+  return rf_outcome(i);
 }
 
 static int rf_set(rf_instance *i, const char *function, const unsigned *references, size_t n, const double *values,

@@ -1,4 +1,7 @@
 /* Phases, sample hits, steps of co-simulation, saved states: the second half of instance.h. */
+#if RF_NESTED
+#include "switching.h"
+#endif
 
 /* ---- phases ---- */
 
@@ -9,10 +12,13 @@ static int rf_enter_initialisation(rf_instance *i, double start, double stop) {
   i->d[RF_STOP] = stop;
   i->d[RF_PHASE] = RF_INITIALISING;
   rf_soil(i, RF_STALE_ALL);
+#if RF_NESTED
+  rf_restart_inners(i);
+#endif
   return RF_OK;
 }
 
-static void rf_exit_initialisation(rf_instance *i) {
+static int rf_exit_initialisation(rf_instance *i) {
   rf_refresh(i);
 #if RS_NS > 0
   if (i->d[RF_KIND] == 0) { /* model exchange: the hits due now are those of the first event */
@@ -24,13 +30,18 @@ static void rf_exit_initialisation(rf_instance *i) {
 #endif
   i->d[RF_PHASE] = i->d[RF_KIND] == 0 ? RF_EVENT : RF_STEPPING;
   rf_soil(i, RF_STALE_VALUES);
+#if RF_NESTED
+  if (i->d[RF_KIND] != 0 && i->status < RF_DISCARD) rf_begin_switching(i);
+#endif
+  return rf_outcome(i);
 }
 
-/* Carry out the sample hits due now; return the time of the next one, infinity if there is none. */
+/* Carry out the sample hits and events due now; return the time of the next one, infinity if there is none. */
 static double rf_update(rf_instance *i) {
+  double next = HUGE_VAL;
 #if RS_NS > 0
   double *p = rf_p(i), *m = rf_m(i), now = i->d[RF_TIME];
-  double next = rs_next_hit(p, m);
+  next = rs_next_hit(p, m);
   rf_refresh(i);
   if (next <= now + 1e-12 * (1.0 + fabs(now))) { /* solvers arrive at an event but for rounding */
     if (next > now) now = next;
@@ -39,11 +50,23 @@ static double rf_update(rf_instance *i) {
     rf_soil(i, RF_STALE_G | RF_STALE_VALUES);
     next = rs_next_hit(p, m);
   }
-  return next;
-#else
-  (void)i;
-  return HUGE_VAL;
 #endif
+#if RF_NESTED
+  rf_update_inners(i);
+  if (rf_next_event(i) < next) next = rf_next_event(i);
+#endif
+  (void)i;
+  return next;
+}
+
+/* Return whether the last event has changed states, or their nominal values: those of FMUs inside alone. */
+static int rf_changed(const rf_instance *i, int nominals) {
+#if RF_NESTED
+  for (int k = 0; k < RF_NESTED; ++k)
+    if (nominals ? i->inner[k].nominals : i->inner[k].states) return 1;
+#endif
+  (void)i, (void)nominals;
+  return 0;
 }
 
 /* ---- co-simulation ---- */
@@ -61,14 +84,20 @@ static int rf_finite(rf_instance *i) {
 /* Take steps n0..n1-1 of size h from t0; inputs with a slope follow it, at the middle of every step. Return the step
  * reached: less than n1 when a state is not finite. */
 static int64_t rf_march(rf_instance *i, int64_t n0, int64_t n1, double t0, double h) {
-  const int64_t never = INT64_MAX;
   double *slope = i->d + RF_AT_SLOPE, *u = rf_z(i) + RF_NZ;
+#if !RF_NESTED
+  const int64_t never = INT64_MAX;
   int moving = 0;
   for (int k = 0; k < RF_NU; ++k) moving |= slope[k] != 0.0;
   if (!moving) return rs_run(rf_p(i), rf_m(i), n0, n1, t0, h, never, i->row);
+#endif
   for (int64_t n = n0; n < n1; ++n) {
     for (int k = 0; k < RF_NU; ++k) u[k] += 0.5 * h * slope[k];
+#if RF_NESTED
+    if (rf_step_over(i, n, t0, h)) return n;
+#else
     rs_run(rf_p(i), rf_m(i), n, n + 1, t0, h, never, i->row);
+#endif
     for (int k = 0; k < RF_NU; ++k) u[k] += 0.5 * h * slope[k];
   }
   for (int k = 0; k < RF_NU; ++k) slope[k] = 0.0;
@@ -90,26 +119,35 @@ static int rf_step(rf_instance *i, const char *function, double at, double size)
     d[RF_STEPS] = 0;
     rf_soil(i, RF_STALE_G);
   }
+  if (i->ended) return RF_DISCARD;
   rf_refresh(i);
-  const double count = floor(size / h + 0.5);
+  const double from = d[RF_TIME], count = floor(size / h + 0.5);
   if (fabs(count * h - size) <= 1e-9 * size + rounding) {
     const int64_t n = (int64_t)d[RF_STEPS];
     d[RF_STEPS] = (double)rf_march(i, n, n + (int64_t)count, d[RF_ANCHOR], h);
-    d[RF_TIME] = d[RF_ANCHOR] + d[RF_STEPS] * h;
+    if (!i->ended) d[RF_TIME] = d[RF_ANCHOR] + d[RF_STEPS] * h;
   } else {
     const double parts = ceil(size / h * (1.0 - 1e-9));
-    rf_march(i, 0, (int64_t)parts, d[RF_TIME], size / parts);
-    d[RF_TIME] = d[RF_ANCHOR] = d[RF_TIME] + size;
+    rf_march(i, 0, (int64_t)parts, from, size / parts);
+    if (!i->ended) d[RF_TIME] = d[RF_ANCHOR] = from + size;
     d[RF_STEPS] = 0;
     rf_soil(i, RF_STALE_G);
   }
   rf_soil(i, RF_STALE_VALUES);
-  return rf_finite(i);
+  if (i->status >= RF_DISCARD) { /* what could be computed again with a smaller step: there is none here */
+    i->status = RF_ERROR;
+    return rf_outcome(i);
+  }
+  return i->ended ? RF_DISCARD : rf_finite(i);
 }
 
 /* ---- saved states ---- */
 
-static int rf_restore(rf_instance *i, const char *function, const double *saved) {
+#if RF_NESTED
+#include "saved.h"
+#else
+static int rf_restore(rf_instance *i, const char *function, const void *state) {
+  const double *saved = (const double *)state;
   if (!saved || saved[RF_MAGIC] != RF_MAGIC_NUMBER || saved[RF_KIND] != i->d[RF_KIND])
     return rf_log(i, RF_ERROR, "%s: this is not a state of this FMU", function);
   memcpy(i->d, saved, sizeof i->d);
@@ -124,6 +162,19 @@ static int rf_save(rf_instance *i, void **state) {
   return RF_OK;
 }
 
+static void rf_free_saved(rf_instance *i, void *state) {
+  (void)i;
+  free(state);
+}
+
+static size_t rf_serialised(const rf_instance *i) { return sizeof i->d; }
+
+static int rf_serialise(rf_instance *i, const char *function, const void *state, void *bytes, size_t size) {
+  if (!state || size < sizeof i->d) return rf_log(i, RF_ERROR, "%s: no state, or too few bytes", function);
+  memcpy(bytes, state, sizeof i->d);
+  return RF_OK;
+}
+
 static int rf_deserialise(rf_instance *i, const char *function, const void *bytes, size_t size, void **state) {
   if (size != sizeof i->d || memcmp(bytes, i->d, sizeof(double)) != 0)
     return rf_log(i, RF_ERROR, "%s: these bytes are not a state of this FMU", function);
@@ -132,6 +183,7 @@ static int rf_deserialise(rf_instance *i, const char *function, const void *byte
   memcpy(*state, bytes, size);
   return RF_OK;
 }
+#endif
 
 /* ---- what both versions offer in the same words ---- */
 
@@ -168,21 +220,21 @@ static int rf_get_states(rf_instance *i, double *x, size_t n) {
   if (n != RS_NX) return rf_log(i, RF_ERROR, "%d states expected, %d given", RS_NX, (int)n);
   rf_refresh(i);
   memcpy(x, rf_x(i), RS_NX * sizeof(double));
-  return RF_OK;
+  return rf_outcome(i);
 }
 
 static int rf_get_rates(rf_instance *i, double *rate, size_t n) {
   if (n != RS_NX) return rf_log(i, RF_ERROR, "%d states expected, %d given", RS_NX, (int)n);
   rf_rates(i);
   memcpy(rate, i->rate, RS_NX * sizeof(double));
-  return RF_OK;
+  return rf_outcome(i);
 }
 
 static int rf_get_indicators(rf_instance *i, double *event, size_t n) {
   if (n != RF_NE) return rf_log(i, RF_ERROR, "%d event indicators expected, %d given", RF_NE, (int)n);
   rf_indicators(i);
   memcpy(event, i->event, RF_NE * sizeof(double));
-  return RF_OK;
+  return rf_outcome(i);
 }
 
 static int rf_get_nominals(rf_instance *i, double *nominal, size_t n) {
