@@ -172,6 +172,8 @@ class _Called(_Function):
         return directions == 1
 
     def get_forward(self, _: int, name: str, _in: Any, _out: Any, _options: Any) -> Any:
+        if self.steady:
+            return self._products(name, self.arguments, lambda J, seeds: [J @ seeds[3]])
         made = _Forward(name, self)
         self._derivatives.append(made)
         self.answer_in_c(made, "forward")
@@ -192,6 +194,9 @@ class _Called(_Function):
         Those by time, by states and inputs, and by parameters are functions of their own, of which an expression calls
         those whose results it uses: differences by parameters are dear.
         """
+        if self.steady:
+            none = [ca.SX(0, 1)] * 3
+            return self._products(name, [self.size], lambda J, seeds: [*none, J.T @ seeds[0]])
         given = [ca.SX.sym(f"a{k}", size) for k, size in enumerate([*self.arguments, self.size, self.size])]
         sums = [ca.SX(size, 1) for size in self.arguments]
         for what, wanted in _SUMS.items():
@@ -204,6 +209,18 @@ class _Called(_Function):
             for k, one in zip(places, made.call(given), strict=True):
                 sums[k] = one
         return ca.Function(name, given, sums)
+
+    def _products(self, name: str, sizes: Sequence[int], product: Callable[[Any, Sequence[Any]], list[Any]]) -> Any:
+        """Return a function of the point, the results and seeds of some sizes: products of derivatives by p with these.
+
+        The derivatives are those of parameters alone, as the function is: found once for many seeds, and for each
+        parameter by a call of its own, of which those remain whose results somebody wants.
+        """
+        given = [ca.SX.sym(f"a{k}", size) for k, size in enumerate([*self.arguments, self.size, *sizes])]
+        columns = [_ByParameter(f"{self.name()}_by_{k}", self, k) for k in range(self.sizes[3])]
+        self._derivatives += columns
+        J = ca.horzcat(ca.SX(self.size, 0), *(column(given[3]) for column in columns))
+        return ca.Function(name, given, product(J, given[5:]))
 
     def along(self, point: Sequence[np.ndarray], seeds: Sequence[np.ndarray]) -> np.ndarray:
         """Return the derivative in a direction of t, x, u, p; what does not move costs nothing."""
@@ -262,6 +279,20 @@ class _Slopes(_Called):
 
     def _values(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         return self.equations.slopes(p).ravel()
+
+
+class _ByParameter(_Function):
+    """The derivatives by one entry of p of a function of p alone; derivatives of it are central differences."""
+
+    def __init__(self, name: str, of: _Called, k: int) -> None:
+        self.of, self.k = of, k
+        options = {"enable_fd": True, "fd_method": "central", "never_inline": True}
+        super().__init__(name, of.arguments[3:], [(of.size, 1)], **options)
+
+    def evaluate(self, *arguments: np.ndarray) -> Sequence[np.ndarray]:
+        seed = np.eye(self.of.sizes[3])[self.k]
+        nothing = [np.zeros(size) for size in self.of.sizes[:3]]
+        return [self.of.along([*nothing, *arguments], [*nothing, seed])]
 
 
 class _Forward(_Function):

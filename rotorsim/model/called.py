@@ -50,6 +50,27 @@ def called_with(function: Any, nonzeros: Sequence[Any]) -> list[Any]:
     return [one for result in function.call(arguments) for one in ca.vertsplit(result.nz[:])]
 
 
+def steady_arguments(function: Any) -> tuple[int, ...]:
+    """Return the arguments of a function that calls of parameters alone (`STEADY`) inside follow."""
+    found: set[int] = set()
+    if not function.get_function():
+        return ()
+    called = function.instructions_sx()
+    work: list[frozenset[int]] = [frozenset()] * function.sz_w()  # the arguments that each number follows
+    for k in range(function.n_instructions()):
+        op, places, to = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if op == ca.OP_OUTPUT:
+            continue
+        follows = frozenset(places[:1]) if op == ca.OP_INPUT else frozenset().union(*(work[place] for place in places))
+        if op == ca.OP_CONST:
+            follows = frozenset()
+        elif op == ca.OP_CALL and STEADY in called[k].which_function().name():
+            found |= follows
+        for place in (place for place in to if place >= 0):
+            work[place] = follows
+    return tuple(sorted(found))
+
+
 def note_failure(error: BaseException) -> None:
     """Keep a failure inside a called function for `raise_failure`; the first counts."""
     _failures.append(error)

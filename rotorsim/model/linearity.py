@@ -46,7 +46,7 @@ def jacobian(of: Any, by: Any) -> Any:
         return ca.jacobian(of, by)
     own = _hashes(by)
     others = [symbol for symbol in ca.symvar(of) if symbol.element_hash() not in own]
-    rest, symbols, values = ca.extract_parametric(of, ca.vertcat(ca.SX(0, 1), *others))
+    rest, symbols, values = ca.extract_parametric(ca.cse(of), ca.vertcat(ca.SX(0, 1), *others))
     return ca.substitute([ca.jacobian(rest, by)], symbols, values)[0]
 
 

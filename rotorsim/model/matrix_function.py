@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rotorsim.model.called import connect, forget_failures, raise_failure
+from rotorsim.model.called import connect, forget_failures, raise_failure, steady_arguments
 from rotorsim.model.emit.program import Program
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.model.emit.writer import Writer, array_leaf, call_table, called_functions
@@ -55,14 +56,30 @@ class MatrixFunction:
         return self._places[1]
 
     @cached_property
-    def _function(self) -> Any:
+    def _column(self) -> Any:
+        """The nonzeros as an expression, without calls whose results nobody wants."""
         function = ca.Function("f", self._arguments, [self._expression.nz[:]])
         if not function.get_function():
-            return function
+            return self._expression.nz[:]
         program, names = Program(), [f"a{k}" for k in range(len(self._arguments))]
-        nodes = program.load(function, names)[0]  # without calls whose results nobody wants
-        column = program.to_casadi(nodes, dict(zip(names, self._arguments, strict=True)), {})
-        return ca.Function("f", self._arguments, [column])
+        nodes = program.load(function, names)[0]
+        return program.to_casadi(nodes, dict(zip(names, self._arguments, strict=True)), {})
+
+    @cached_property
+    def _steady(self) -> _Steady | None:
+        """What follows parameters alone by way of a part whose equations are elsewhere, if anything does."""
+        places = steady_arguments(ca.Function("f", self._arguments, [self._column]))
+        if not places or len(places) == len(self._arguments):
+            return None
+        followed = [self._arguments[k] for k in places]
+        rest, symbols, values = ca.extract_parametric(self._column, ca.vertcat(*followed))
+        return _Steady(places, ca.vertcat(*symbols), rest, MatrixFunction(followed, ca.densify(ca.vertcat(*values))))
+
+    @cached_property
+    def _function(self) -> Any:
+        if self._steady is None:
+            return ca.Function("f", self._arguments, [self._column])
+        return ca.Function("f", [*self._arguments, self._steady.symbols], [self._steady.rest])
 
     def __call__(self, *columns: Any) -> np.ndarray:
         """Return values, shape (n, rows, columns); each argument is a column or n columns side by side."""
@@ -75,6 +92,8 @@ class MatrixFunction:
     def _nonzeros(self, n: int, columns: tuple[Any, ...]) -> np.ndarray:
         """Return the nonzeros, (n, nnz); CasADi reads and writes the arrays' own memory, which lie column by column."""
         given = [np.ascontiguousarray(np.transpose(c), float).reshape(-1, k) for c, k in self._paired(columns)]
+        if self._steady is not None:
+            given.append(self._steady.at(given))
         fixed = tuple(k for k, array in enumerate(given) if len(array) != n)
         self._calls += n * self._called
         if self._calls > WORTH_COMPILING and self._compiled is not None:
@@ -108,7 +127,7 @@ class MatrixFunction:
         compiler = find_compiler()
         if compiler is None:
             return None
-        program, names = Program(), [f"a{k}" for k in range(len(self._arguments))]
+        program, names = Program(), [f"a{k}" for k in range(self._function.n_in())]
         nodes = program.load(self._function, names)[0]
         called = called_functions([program])
         table, connecting = call_table(called)
@@ -154,6 +173,25 @@ RS_EXPORT void rs_map(int64_t n, const double *const *a, const int64_t *step, do
 
     def _paired(self, columns: tuple[Any, ...]) -> list[tuple[Any, int]]:
         return [(column, max(size, 1)) for column, size in zip(columns, self._sizes, strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Steady:
+    """What an expression takes of some of its arguments alone: symbols for it, the rest, and what gives it."""
+
+    places: tuple[int, ...]  # of these arguments
+    symbols: Any
+    rest: Any
+    values: MatrixFunction
+
+    def at(self, given: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the values for arguments of (n or 1, size), (n or 1, size); computed once for those that are equal."""
+        own = [given[k] for k in self.places]
+        n = max(map(len, own))
+        rows = np.concatenate([np.broadcast_to(array, (n, array.shape[1])) for array in own], axis=1)
+        first = np.flatnonzero(np.r_[True, (rows[1:] != rows[:-1]).any(axis=1)])  # runs follow one another
+        found = self.values(*(array[first if len(array) > 1 else [0]].T for array in own))[:, :, 0]
+        return np.repeat(found, np.diff(np.r_[first, n]), axis=0) if len(first) < n else found
 
 
 def _memory(array: Any) -> Any:

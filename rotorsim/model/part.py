@@ -62,9 +62,8 @@ def open_part(
     added = list(dict.fromkeys([*(f"{end.block}.{end.port}" for end in targets), *inputs]))
     opaque = {name: node for name, node in diagram.nodes.items() if node.block.opaque and name not in chosen}
     theirs = [str(port) for node in opaque.values() for port in node.outputs.values()]
-    whole = trace_diagram(
-        diagram, inject=added, replace=dict.fromkeys([*entering, *theirs]), foreign=opaque, called=True
-    )
+    given = dict.fromkeys([*entering, *theirs])
+    whole = trace_diagram(diagram, inject=added, replace=given, foreign=opaque, called=True)
     names: dict[str, str] = {}  # of an input -> of the external input of the trace
     for source, wires in entering.items():
         direct = [wire for wire in wires if not is_added(wire.target)]  # others only add to an input themselves

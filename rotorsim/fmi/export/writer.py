@@ -149,19 +149,19 @@ def _units(root: Element, interface: Interface) -> None:
 
 
 def _variables(parent: Element, interface: Interface, version: str) -> None:
-    """Add all variables: FMI 2.0 has the type inside, FMI 3.0 the type as the element, time, and event indicators."""
+    """Add time and variables: FMI 2.0 has the type inside, FMI 3.0 the type as the element, and event indicators."""
     two = version == "2.0"
     index = _indices(interface)
-    if not two:
-        time = SubElement(parent, "Float64", name="time", valueReference="0", causality="independent")
-        time.attrib |= {"variability": "continuous", "description": "simulation time"}
-        time.attrib |= {"unit": "s"} if "s" in interface.units else {}
+    tag = "ScalarVariable" if two else "Float64"
+    time = SubElement(parent, tag, name="time", valueReference="0", description="simulation time")
+    time.attrib |= {"causality": "independent", "variability": "continuous"}
+    typed = SubElement(time, "Real") if two else time
+    typed.attrib |= {"unit": "s"} if "s" in interface.units else {}
     for variable in interface.variables:
         if two and variable.role == EVENT:
             continue
         entries = [(variable.name, variable.reference, 0)] if interface.arrays else variable.entries()
         for name, reference, k in entries:
-            tag = "ScalarVariable" if two else "Float64"
             element = SubElement(parent, tag, name=name, valueReference=str(reference))
             if variable.description:
                 element.set("description", plain_text(variable.description))
@@ -196,7 +196,7 @@ def _real(variable: Variable) -> dict[str, str]:
 def _indices(interface: Interface) -> dict[int, int]:
     """Value reference -> index in ModelVariables of FMI 2, counted from 1."""
     references = [r for v in interface.variables if v.role != EVENT for _, r, _ in v.entries()]
-    return {reference: k for k, reference in enumerate(references, 1)}
+    return {0: 1} | {reference: k for k, reference in enumerate(references, 2)}
 
 
 # ---- model structure ----
@@ -237,12 +237,9 @@ def _unknowns(interface: Interface, version: str) -> dict[str, list[tuple[int, d
         for columns, kinds in zip(found.by_column, found.kinds, strict=True)
     ]
     if version == "3.0":
-<<<<<<< HEAD
         moving = [row | dict.fromkeys(set_by(p), DEPENDENT) for row, p in zip(moving, found.by_parameter, strict=True)]
-=======
-        moving = [sorted({*row, *set_by(p)}) for row, p in zip(moving, found.by_parameter, strict=True)]
-    moving += [sorted(map(known, range(n_x + n_u + 1)))] * (n_x + n_y + interface.count(EVENT) - len(moving))
->>>>>>> h_nested
+    every = dict.fromkeys(map(known, range(n_x + n_u + 1)), DEPENDENT)
+    moving += [every] * (n_x + n_y + interface.count(EVENT) - len(moving))
     calculated = [k for k in range(n_x) if not interface.x_exact[k]]
     return {
         "outputs": [(at[OUTPUT] + k, moving[n_x + k]) for k in range(n_y)],
@@ -264,7 +261,7 @@ def _structure(parent: Element, interface: Interface, version: str) -> None:
         for tag, key in (("Outputs", "outputs"), ("Derivatives", "derivatives"), ("InitialUnknowns", "initial")):
             group = SubElement(parent, tag) if unknowns[key] else parent
             for reference, knowns in unknowns[key]:
-                listed = {index[k]: kind for k, kind in knowns.items() if k}
+                listed = {index[k]: kind for k, kind in knowns.items()}
                 SubElement(group, "Unknown", {"index": str(index[reference]), **_listed(listed)})
         return
     owner = _owners(interface)
