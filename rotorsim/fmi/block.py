@@ -36,10 +36,10 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, Entry, FmuVariable, ModelDescription
 from rotorsim.fmi.functions import functions_of, held_inputs, moving_inputs
 from rotorsim.fmi.mode import FmuMode
-from rotorsim.fmi.runtime.slave import describe_fmu
+from rotorsim.fmi.runtime.slave import TIMEOUT, describe_fmu
 
 _INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
-_TAKEN = ("file", "interface", "in_process")  # options of the block itself; a value of the FMU of this name gets a "_"
+_TAKEN = ("file", "interface", "in_process", "timeout")  # options of the block: a value of the FMU so named gets a "_"
 _WORDS: dict[str, type] = {"Boolean": bool, "String": str}  # types whose values are given as such
 
 
@@ -258,6 +258,7 @@ def _made(
             doc="cs, me, or any: me where equations are asked for, cs to cosim",
         ),
         "in_process": Option(False, kind=bool, doc="load its code into this process: faster, but a crash is ours"),
+        "timeout": Option(TIMEOUT, kind=(int, float), low=1, doc="for one answer of a process of its own [s]"),
     }
     for port in inputs.values():
         body[f"_i_{port.name}"] = In(

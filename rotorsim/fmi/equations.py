@@ -14,7 +14,6 @@ changes its side or a time event is due, there are none, and that is an error, b
 
 from __future__ import annotations
 
-import warnings
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -22,17 +21,20 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.errors import RotorsimError
+from rotorsim.errors import Place, RotorsimError
 from rotorsim.fmi.compiled import InC
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.fmi.instances import Instances, Values
-from rotorsim.fmi.runtime.slave import Slave
+from rotorsim.fmi.runtime.failure import FmuError
+from rotorsim.fmi.runtime.slave import TIMEOUT, Slave
+from rotorsim.model.heard import GIVEN_UP, listener, remark
 
 MOST_PROCESSES = 24  # of one block, those used last
 KEPT_POINTS = (
     6  # values of all parameters, each with differences by every one, whose instances in this process are kept
 )
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
+MOST_HANGS = 3  # in a fit: two shorter steps of a search may still be answered; with TIMEOUT half a minute is lost
 CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
 
 
@@ -49,14 +51,17 @@ class FmuEquations:
         inputs: Sequence[Any],
         outputs: Sequence[Any],
         parameters: Sequence[Any],
+        timeout: float = TIMEOUT,
     ) -> None:
         """Take the ports of inputs, outputs and parameters (`rotorsim.fmi.block.FmuPort`); texts: other values.
 
-        name: of the block, by which failures are told.
+        name: of the block, by which failures are told. timeout: for one answer of a process of its own [s].
         """
         self.name, self.description = name, description
         self._u, self._p, y = Values(inputs), Values(parameters), Values(outputs)
-        self._instances = Instances(name, path, description, in_process, texts, self._u, self._p, y.names)
+        self._instances = Instances(name, path, description, in_process, texts, self._u, self._p, y.names, timeout)
+        self.path, self.timeout = str(path), timeout
+        self._given: np.ndarray | None = None  # parameters that were asked for first
         self.n_x = len(description.states)
         self.u_names, self.y_names = self._u.names, y.names
         self.u_scales, self.y_scales = self._u.scales, y.scales
@@ -68,6 +73,7 @@ class FmuEquations:
         self._starter: Slave | None = None  # begins with other inputs
         self._modes: dict[int, tuple[np.ndarray, float]] = {}  # sides of event indicators, next time event
         self._guarded = True
+        self.hangs = False  # whether it ever did
         self.seen = np.zeros(self.n_u + description.n_events)  # raw inputs, indicators, where x' was asked for last
         self._exact, self._checked = self._has_directional(), False
         stated = [entry.variable.nominal for entry in description.resolve(description.states)]
@@ -172,7 +178,7 @@ class FmuEquations:
         self._exact = bool((off <= CHECKED * np.abs(found).max(axis=0, initial=0.0)).all())
         if not self._exact:
             what = "its directional derivatives are not those of its equations: central differences are taken"
-            warnings.warn(f"{self.name}: {what}", RuntimeWarning, stacklevel=2)
+            remark(self.name, what)
 
     def _difference(self, point: Sequence[np.ndarray], group: int, k: int, scale: float) -> np.ndarray:
         """Return the central difference of x' and y over an entry of t, x, u or p."""
@@ -217,6 +223,24 @@ class FmuEquations:
     @contextmanager
     def _instance(self, p: np.ndarray) -> Iterator[Slave]:
         """Give the instance with parameters p (n_p,), initialised; one that fails is not used again."""
+        self._given = p.copy() if self._given is None else self._given
+        self._refuse_hanging()
+        try:
+            with self._found(p) as slave:
+                yield slave
+        except FmuError as error:
+            error.add_values(self._p.words(p, self._given))
+            raise
+
+    def _refuse_hanging(self) -> None:
+        """Raise FmuError where whoever listens has heard of enough hangs: every one of them costs the time limit."""
+        if self.hangs and listener().times(self.name, "hang") >= MOST_HANGS:
+            what = f"is not asked any more: {MOST_HANGS} times in this fit it did not answer within {self.timeout:g} s"
+            hint = "more time for an answer is \"timeout\" among the parameters of its block, in s"
+            raise FmuError(what, kind=GIVEN_UP, name=self.name, place=Place(self.path), hint=hint)
+
+    @contextmanager
+    def _found(self, p: np.ndarray) -> Iterator[Slave]:
         key = p.tobytes()
         slave = self._slaves.get(key)
         if slave is None:
@@ -236,6 +260,7 @@ class FmuEquations:
         try:
             yield slave
         except BaseException as error:
+            self.hangs = self.hangs or getattr(error, "kind", "") == "hang"
             if getattr(error, "kind", "") != "event":
                 self._free(self._slaves.pop(key))
             raise

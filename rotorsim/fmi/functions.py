@@ -331,17 +331,19 @@ def functions_of(block: Any) -> FmuFunctions:
     stat, sizes = block.fmu_path.stat(), sorted(block.fmu_description.sizes.items())
     digest = _digest(str(block.fmu_path), (stat.st_mtime_ns, stat.st_size))
     ports = [*block.fmu_outputs]
-    identity = repr((block.fmu_block, digest, bool(option.in_process), sorted(texts.items(), key=str), sizes, ports))
+    about = bool(option.in_process), float(option.timeout)
+    identity = repr((block.fmu_block, digest, *about, sorted(texts.items(), key=str), sizes, ports))
     if identity not in _known:
         equations = FmuEquations(
             block.fmu_block or block.fmu_description.name,
             block.fmu_path,
             block.fmu_description,
-            bool(option.in_process),
+            about[0],
             texts,
             [*moving_inputs(block).values()],
             [*block.fmu_outputs.values()],
             [*block.fmu_parameters.values(), *held_inputs(block).values()],
+            about[1],
         )
         _known[identity] = FmuFunctions(equations, identity)
     return _known[identity]

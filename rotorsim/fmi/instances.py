@@ -6,7 +6,6 @@ initialised anew, if that once gave what a new one gives.
 
 from __future__ import annotations
 
-import warnings
 import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -17,6 +16,9 @@ import numpy as np
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.description.model import ModelDescription
 from rotorsim.fmi.runtime.slave import Fmu, Slave, open_fmu
+from rotorsim.model.heard import remark
+
+SHOWN = 5  # values in a message
 
 
 class Values:
@@ -28,6 +30,7 @@ class Values:
 
     def __init__(self, ports: Sequence[Any]) -> None:
         self.names = [name for port in ports for name in port.entries]
+        self.units = [port.unit if port.unit not in (None, "1") else "" for port in ports for _ in port.entries]
         self.scales = np.concatenate([np.zeros((0, 2)), *(port.scales for port in ports)])
         starts = [np.full(len(p.entries), np.nan) if p.start is None else np.ravel(p.start) for p in ports]
         self.starts = np.concatenate([np.zeros(0), *starts])
@@ -53,6 +56,15 @@ class Values:
         }
 
 
+    def words(self, si: np.ndarray, given: np.ndarray) -> str:
+        """Return values (n,) in words: those that are not as given, else those that are not the start values."""
+        changed = self.changed(si)
+        moved = np.flatnonzero((si != given) & ~(np.isnan(si) & np.isnan(given))).tolist()
+        which = moved or [k for k, name in enumerate(self.names) if name in changed]
+        shown = [f"{self.names[k]} = {si[k]:.9g} {self.units[k]}".rstrip() for k in which[:SHOWN]]
+        return ", ".join([*shown, *(["..."] if len(which) > SHOWN else [])])
+
+
 class Instances:
     """Makes instances of an FMU. texts: values of variables that are no numbers."""
 
@@ -66,16 +78,19 @@ class Instances:
         inputs: Values,
         parameters: Values,
         outputs: Sequence[str],
+        timeout: float,
     ) -> None:
         self.name, self.path, self.description, self.in_process = name, path, description, in_process
         self.texts, self.inputs, self.parameters, self.outputs = dict(texts), inputs, parameters, list(outputs)
+        self.timeout = timeout
         self._fmu: Fmu | None = None
         self._resets: bool | None = False if in_process else None  # None: not tried yet
 
     def new(self, u: np.ndarray, p: np.ndarray) -> Slave:
         """Return a new instance with parameters p, initialised with inputs u."""
         if self._fmu is None:
-            self._fmu = open_fmu(self.path, in_process=self.in_process, sizes=self.description.sizes)
+            about: dict[str, Any] = {"in_process": self.in_process, "timeout": self.timeout}
+            self._fmu = open_fmu(self.path, sizes=self.description.sizes, **about)
             weakref.finalize(self, self._fmu.close).atexit = False  # its processes see to that themselves
         slave = self._fmu.instantiate("me", self.name)
         try:
@@ -119,5 +134,5 @@ class Instances:
             return slave
         slave.free()
         what = "reset, it is not what a new instance is: it is instantiated anew for all values"
-        warnings.warn(f"{self.name}: {what}", RuntimeWarning, stacklevel=2)
+        remark(self.name, what)
         return fresh

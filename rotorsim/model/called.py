@@ -13,6 +13,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rotorsim.model.heard import tell
+
 Address = ctypes.c_void_p
 CALLED = ctypes.CFUNCTYPE(None, Address, ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_double))
 CALLED_AT = ctypes.CFUNCTYPE(None, Address, Address, Address)  # the same with plain addresses
@@ -75,6 +77,7 @@ def raise_failure() -> None:
     if _failures:
         first = _failures[0]
         _failures.clear()
+        tell(first)
         raise first
 
 

@@ -33,6 +33,8 @@ FAULTS = (
     "terminate",
     "child",
     "below",
+    "flood",
+    "leave_well",
 )
 SOURCES = Path(__file__).parent / "c"
 _FLAGS = 'canGetAndSetFMU{s}="true" canSerializeFMU{s}="true" canBeInstantiatedOnlyOncePerProcess="{once}"'

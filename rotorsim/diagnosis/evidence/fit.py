@@ -13,6 +13,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.profile import Z90
+from rotorsim.model.heard import listener
 
 DEFERRED = "is nonlinear, and not fitted yet"
 
@@ -24,8 +25,12 @@ FAILURES = (RotorsimError, ValueError, np.linalg.LinAlgError)  # of a diagram th
 
 
 def reason_of(error: Exception) -> str:
-    """Return in words why a diagram cannot be compared with data."""
-    return error.problems[0].what if isinstance(error, RotorsimError) else str(error) or type(error).__name__
+    """Return in words why a diagram cannot be compared with data; of a part that fails, with its name."""
+    if not isinstance(error, RotorsimError):
+        return str(error) or type(error).__name__
+    problem = error.problems[0]
+    failed = any(one.subject == problem.subject and one.kind for one in listener().mishaps)
+    return f"{problem.subject}: {problem.what}" if failed else problem.what
 
 
 def _empty() -> np.ndarray:

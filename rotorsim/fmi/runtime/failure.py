@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from rotorsim.errors import Place, Problem, RotorsimError
 
@@ -13,10 +14,11 @@ class FmuError(RotorsimError):
     """An FMU failed at work.
 
     kind: "discard" (a step was refused: a shorter one may work), "error", "fatal", "crash" (its process died), "hang"
-    (no answer within the time limit), "value" (an output is not finite), "ended" (it asks for the end of the
-    simulation), "endless" (its events accumulate), "load" (its library cannot be loaded),
-    "refused" (by rotorsim, before the FMU was asked). function: FMI function, "" if not known; time: of the call [s].
-    last: time to which a refused step came [s]. log: (status, category, message) of the FMU.
+    (no answer within the time limit), "given up" (it hung so often in a fit that it is not asked any more), "value" (an
+    output is not finite), "ended" (it asks for the end of the simulation), "endless" (its events accumulate), "load"
+    (its library cannot be loaded), "refused" (by rotorsim, before the FMU was asked). function: FMI function, "" if not
+    known; time: of the call [s]. last: time to which a refused step came [s]. log: (status, category, message) of the
+    FMU.
     """
 
     exit_code = 1
@@ -44,3 +46,9 @@ class FmuError(RotorsimError):
         for line in printed[-_SHOWN:]:
             text += f"\n  it printed: {line[:300]}"
         super().__init__(Problem(text, name, place, hint))
+
+    def add_values(self, values: str) -> None:
+        """Say with which values of its parameters the FMU failed."""
+        problem = self.problems[0]
+        first, line, rest = problem.what.partition("\n")
+        RotorsimError.__init__(self, replace(problem, what=f"{first} with {values}{line}{rest}"))

@@ -11,7 +11,7 @@
 #include <unistd.h>
 
 enum { OK, SEGV, HANG, FAIL, NOT_A_NUMBER, DISCARD, HUNGRY, LEAVE, ABORT, PRINT, FATAL, BAD_FREE, TERMINATE, CHILD,
-       BELOW };
+       BELOW, FLOOD, LEAVE_WELL };
 
 typedef struct {
     double t, x[N], v[N], u[N], stiffness, damping, gain, wall, tick, fault_time, fault_above, next;
@@ -56,6 +56,8 @@ static void advance(Plant *p, double h) {
     p->t += h;
 }
 
+static void chatter(Plant *p, int k); /* a message for the log */
+
 /* Do what is wrong; return the status: 0 fine, 2 discard, 3 error, 4 fatal, -1: none that there is. */
 static int misbehave(Plant *p, double t) {
     static char *volatile nowhere = 0;
@@ -74,6 +76,10 @@ static int misbehave(Plant *p, double t) {
         case LEAVE: exit(3);
         case ABORT: fprintf(stderr, "assertion failed: the plant is tired\n"); abort();
         case PRINT: for (int k = 0; k < 20000; k++) printf("line %d of what nobody wants to read\n", k); break;
+        case FLOOD:
+            for (int k = 0; k < 20000; k++) chatter(p, k), printf("flood %d\n", k), fprintf(stderr, "flood %d\n", k);
+            break;
+        case LEAVE_WELL: exit(0);
         case FATAL: return 4;
         case BELOW: return -1;
         case CHILD: if (fork() == 0) for (;;) sleep(1); break;

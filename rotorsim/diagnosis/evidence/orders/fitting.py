@@ -65,7 +65,7 @@ def _points(
 
 def summary(document: Mapping[str, Any], search: OrderSearch, end: Evaluation, noise: Mapping[str, RowNoise]) -> Fit:
     """Return a fit from the end of a search."""
-    if not np.isfinite(end.cost):
+    if not np.isfinite(end.reached().cost):
         return Fit(document, failure=SIMULATION_DIVERGES)
     count, stretches = len(search.free), stretches_of(search)
     residual, J, sizes = stacked(search, end, stretches)

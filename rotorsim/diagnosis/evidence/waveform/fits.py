@@ -233,7 +233,7 @@ class WaveformFits(SampledRuns):
 
     def _summary(self, document: Mapping[str, Any], search: OutputErrorSearch, evaluation: Evaluation) -> Fit:
         """Return a fit from the end of a search."""
-        if not np.isfinite(evaluation.cost):
+        if not np.isfinite(evaluation.reached().cost):
             return Fit(document, failure=DIVERGES)
         if search.limited and not self.parts:
             evaluation = search.by_differences(evaluation)
