@@ -168,3 +168,11 @@ def estimates(fit: Fit) -> dict[str, Estimated]:
 def interval(value: float, std: float) -> tuple[float, float]:
     """Return the 90 % interval of an estimate."""
     return value - Z90 * std, value + Z90 * std
+
+
+def untried_of(selection: Selection) -> dict[str, str]:
+    """Return the hypotheses, in words, of which every fit was stopped by a part that failed, and what it did."""
+    tried = [item for found in selection.rounds for item in found.tried]
+    fitted = {(item.insertion.physics, item.insertion.spot) for item in tried if not item.fit.stopped}
+    left = (item for item in tried if (item.insertion.physics, item.insertion.spot) not in fitted)
+    return {f"{item.insertion.physics} at {item.insertion.spot.words}": item.fit.failure for item in left}

@@ -18,6 +18,7 @@ from rotorsim.jobs.tasks import KILLED
 from rotorsim.jobs.threads import one_thread
 from rotorsim.model.heard import Heard, Mishap, hearing, listener
 
+DIED = KILLED["failure"]["type"]
 BATCHES = 4  # of jobs, for every process
 Answer = dict[str, Any]  # of a batch: what was found, and the mishaps on the way
 
@@ -51,14 +52,17 @@ class Work:
         return found
 
     def promises(self, jobs: Sequence[Job]) -> list[float]:
-        """Return what documents with a law promise, infinite where a batch is lost."""
-        return [np.inf if isinstance(item, Failure) else item for item in self._spread(_promise_batch, jobs, ())]
+        """Return what documents with a law promise, NaN where that is not known: a part failed, or the process."""
+        found = self._spread(_promise_batch, jobs, ())
+        return [(np.nan if item.type == DIED else np.inf) if isinstance(item, Failure) else item for item in found]
 
     def fits(self, jobs: Sequence[Job], effort: Effort) -> list[Fit]:
         """Return the fits of documents; of a batch that is lost, its failure."""
         fits = self._spread(_fit_batch, jobs, (effort,))
         return [
-            Fit(document, failure=plain.text) if isinstance(plain, Failure) else fit_from_plain(document, plain)
+            Fit(document, failure=plain.text, stopped=plain.type == DIED)
+            if isinstance(plain, Failure)
+            else fit_from_plain(document, plain)
             for (document, _), plain in zip(jobs, fits, strict=True)
         ]
 
@@ -74,7 +78,7 @@ class Work:
             results = run_jobs(function, arguments, jobs=self.jobs, on_error="return")
             again: list[range] = []
             for batch, result in zip(batches, results, strict=True):
-                if isinstance(result, Failure) and result.type == KILLED["failure"]["type"] and len(batch) > 1:
+                if isinstance(result, Failure) and result.type == DIED and len(batch) > 1:
                     again += [range(k, k + 1) for k in batch]
                     continue
                 found = [result] * len(batch) if isinstance(result, Failure) else _heard_of(result)
@@ -103,7 +107,12 @@ def _each(function: Callable[[Any], Any], items: Iterable[Any]) -> Answer:
 
 def _promise_batch(argument: tuple[list[Job], Evidence]) -> Answer:
     batch, evidence = argument
-    return _each(lambda job: evidence.promise(job[0], job[1]), batch)
+
+    def promise(job: Job) -> float:
+        found = evidence.promise(job[0], job[1])
+        return np.nan if found == np.inf and any(one.kind for one in listener().mishaps) else found
+
+    return _each(promise, batch)
 
 
 def _promised_batch(argument: tuple[list[Insertion], Bounds]) -> Answer:

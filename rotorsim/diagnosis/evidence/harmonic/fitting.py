@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, Fit, Starts, reason_of
+from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, Fit, Starts, failed_fit
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.estimate import MOST_EVALUATIONS, Estimate, Search, summary
@@ -57,7 +57,7 @@ def fit_document(
         if nonlinear and most is None and EXPLAINS < best.misfit / max(best.evaluation.rows, 1) < CORNERS:
             best = _sharpened(search, best)
     except FAILURES as error:
-        return Fit(document, failure=reason_of(error), nonlinear=nonlinear, seconds=process_time() - began)
+        return failed_fit(document, error, nonlinear=nonlinear, seconds=process_time() - began)
     seconds = process_time() - began
     return replace(_fit_of(document, search, best), nonlinear=nonlinear, seconds=seconds, standing=runs.standing)
 
