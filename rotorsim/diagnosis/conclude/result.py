@@ -171,8 +171,14 @@ def interval(value: float, std: float) -> tuple[float, float]:
 
 
 def untried_of(selection: Selection) -> dict[str, str]:
-    """Return the hypotheses, in words, of which every fit was stopped by a part that failed, and what it did."""
-    tried = [item for found in selection.rounds for item in found.tried]
-    fitted = {(item.insertion.physics, item.insertion.spot) for item in tried if not item.fit.stopped}
-    left = (item for item in tried if (item.insertion.physics, item.insertion.spot) not in fitted)
-    return {f"{item.insertion.physics} at {item.insertion.spot.words}": item.fit.failure for item in left}
+    """Return the hypotheses, in words, that a part that failed has kept from being fitted, and what it did."""
+    stopped: dict[str, str] = {}
+    for n, found in enumerate(selection.rounds):
+        names = [item.insertion.physics for item in selection.chosen[:n]]
+        beside = f" beside {' and '.join(names)}" if names else ""
+        fitted = {(item.insertion.physics, item.insertion.spot) for item in found.tried if not item.fit.stopped}
+        for one in (item.insertion for item in found.tried):
+            if (one.physics, one.spot) not in fitted:
+                why = next(item.fit.failure for item in found.tried if item.insertion is one)
+                stopped.setdefault(f"{one.physics} at {one.spot.words}{beside}", why)
+    return stopped

@@ -132,7 +132,7 @@ def _untried(diagnosis: Diagnosis) -> str:
     names = [*stopped]
     more = f" and {len(names) - UNTRIED} more" if len(names) > UNTRIED else ""
     why = next(iter(stopped.values())).partition("\n")[0]
-    return f"Nothing is said of {_list(names[:UNTRIED])}{more}: they could not be fitted ({why})."
+    return f"Not fitted, so that nothing is said of it: {', '.join(names[:UNTRIED])}{more} ({why})."
 
 
 def _name(diagnosis: Diagnosis) -> str:

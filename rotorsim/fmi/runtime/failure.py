@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rotorsim.errors import Place, Problem, RotorsimError
 
-_SHOWN = 5  # messages of the FMU in an error
+_SHOWN = 5  # messages of the FMU in an error: the first, which may be the cause, and the last
 
 
 class FmuError(RotorsimError):
@@ -41,9 +41,9 @@ class FmuError(RotorsimError):
         text = what + (f" (t = {time:.9g} s)" if time is not None else "")
         said = [f"{status}: {message}" for status, _, message in self.log if message and status != "OK"]
         said = said or [message for _, _, message in self.log if message]
-        for line in list(dict.fromkeys(said))[-_SHOWN:]:
+        for line in _ends([*dict.fromkeys(said)]):
             text += f"\n  it said: {line[:500]}"
-        for line in printed[-_SHOWN:]:
+        for line in _ends(printed):
             text += f"\n  it printed: {line[:300]}"
         super().__init__(Problem(text, name, place, hint))
 
@@ -52,3 +52,10 @@ class FmuError(RotorsimError):
         problem = self.problems[0]
         first, line, rest = problem.what.partition("\n")
         RotorsimError.__init__(self, replace(problem, what=f"{first} with {values}{line}{rest}"))
+
+
+def _ends(lines: Sequence[str]) -> list[str]:
+    """Return the first of many lines, how many are left out, and the last."""
+    if len(lines) <= _SHOWN:
+        return [*lines]
+    return [lines[0], f"({len(lines) - _SHOWN} more)", *lines[1 - _SHOWN :]]
