@@ -30,7 +30,6 @@ from rotorsim.errors import Problem
 from rotorsim.report.text.table import percent, table
 
 if TYPE_CHECKING:
-    from rotorsim.diagram.diagram import Diagram
     from rotorsim.model.compiled import Model
     from rotorsim.signals.spectrum import Harmonics
     from rotorsim.simulation.result import Result

@@ -15,7 +15,7 @@ changes its side or a time event is due, there are none, and that is an error, b
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -27,14 +27,16 @@ from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.fmi.instances import Instances, Values
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.slave import TIMEOUT, Slave
-from rotorsim.model.heard import GIVEN_UP, listener, remark
+from rotorsim.model.heard import GIVEN_UP, is_heard, listener, remark
 
 MOST_PROCESSES = 24  # of one block, those used last
 KEPT_POINTS = (
     6  # values of all parameters, each with differences by every one, whose instances in this process are kept
 )
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
-MOST_HANGS = 3  # in a fit: two shorter steps of a search may still be answered; with TIMEOUT half a minute is lost
+# In a fit: a search begins with a damping of 1e-4, and takes 10 times as much at every trial that fails; at the sixth
+# its step is shorter by a factor of 11, and one that still gets no answer ends the fit, a minute of TIMEOUT later.
+MOST_HANGS = 6
 CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
 
 
@@ -135,7 +137,7 @@ class FmuEquations:
         for group, first, one in ((0, 0, wanted[0] and self.timed), (3, 1 + n_x + n_u, wanted[3])):
             for k in range(len(point[group]) if one else 0):
                 try:
-                    J[:, first + k] = self._difference(point, group, k, self._scale(group, k, point[group][k]))
+                    J[:, first + k] = self._column(point, group, k)
                 except RotorsimError:  # a whole number, or one that has to stay as it is: perhaps nobody asks for it
                     J[:, first + k] = np.nan
         return J
@@ -155,8 +157,7 @@ class FmuEquations:
             J[:, n_x:] /= self.u_scales[:, 0]
             return np.asarray(J)
         point = [np.array([t]), x, u, p]
-        columns = [self._difference(point, 1, k, self._scale(1, k, x[k])) for k in range(n_x)]
-        columns += [self._difference(point, 2, k, self._scale(2, k, u[k])) for k in range(n_u)]
+        columns = [self._column(point, 1, k) for k in range(n_x)] + [self._column(point, 2, k) for k in range(n_u)]
         return np.stack(columns, axis=1)
 
     def _check_derivatives(self, x: np.ndarray, p: np.ndarray) -> None:
@@ -180,17 +181,33 @@ class FmuEquations:
             what = "its directional derivatives are not those of its equations: central differences are taken"
             remark(self.name, what)
 
-    def _difference(self, point: Sequence[np.ndarray], group: int, k: int, scale: float) -> np.ndarray:
-        """Return the central difference of x' and y over an entry of t, x, u or p."""
+    def _column(self, point: Sequence[np.ndarray], group: int, k: int) -> np.ndarray:
+        """Return the derivative of x' and y by an entry of t, x, u or p."""
+        seeds = [np.zeros(len(part)) for part in point]
+        seeds[group][k] = 1.0
+        return self.difference(self.both, point, seeds)
+
+    def difference(
+        self, of: Callable[..., np.ndarray], point: Sequence[np.ndarray], seeds: Sequence[np.ndarray]
+    ) -> np.ndarray:
+        """Return the central difference of a function of t, x, u, p in a direction of them.
+
+        Over a step that is small beside every entry that moves.
+        """
+        room = [
+            self._scale(group, k, float(point[group][k])) / abs(float(by))
+            for group, own in enumerate(seeds)
+            for k, by in enumerate(own)
+            if by
+        ]
+        step = RELATIVE_STEP * min(room)
         ends = []
         for sign in (1.0, -1.0):
-            moved = [part.copy() for part in point]
-            moved[group][k] += sign * RELATIVE_STEP * scale
-            ends.append((self.both(float(moved[0][0]), *moved[1:]), moved[group][k]))
-        if group == 3:
-            self.know(point[3], np.eye(self.n_p)[k], RELATIVE_STEP * scale)
-        (high, above), (low, below) = ends
-        return np.asarray((high - low) / (above - below))
+            t, x, u, p = (one + sign * step * seed for one, seed in zip(point, seeds, strict=True))
+            ends.append(of(float(t[0]), x, u, p))
+        if not any(seed.any() for seed in seeds[:3]):
+            self.know(point[3], seeds[3], step)
+        return np.asarray((ends[0] - ends[1]) / (2 * step))
 
     def _scale(self, group: int, k: int, value: float) -> float:
         """Return the size over which an entry of t, x, u or p changes."""
@@ -229,14 +246,17 @@ class FmuEquations:
             with self._found(p) as slave:
                 yield slave
         except FmuError as error:
-            error.add_values(self._p.words(p, self._given))
+            if is_heard():  # in a run they are those of the diagram
+                error.add_values(self._p.words(p, self._given))
             raise
 
     def _refuse_hanging(self) -> None:
         """Raise FmuError where whoever listens has heard of enough hangs: every one of them costs the time limit."""
-        if self.hangs and listener().times(self.name, "hang") >= MOST_HANGS:
-            what = f"is not asked any more: {MOST_HANGS} times in this fit it did not answer within {self.timeout:g} s"
-            hint = "more time for an answer is \"timeout\" among the parameters of its block, in s"
+        heard = listener().of(self.name, "hang") if self.hangs else None
+        if heard is not None and heard.count >= MOST_HANGS:
+            first = heard.what.partition("\n")[0]
+            what = f"is not asked any more in this fit, in which {MOST_HANGS} times it did not answer; first: {first}"
+            hint = 'more time for an answer: "timeout" among the parameters of its block, in s'
             raise FmuError(what, kind=GIVEN_UP, name=self.name, place=Place(self.path), hint=hint)
 
     @contextmanager

@@ -55,7 +55,6 @@ class Values:
             if value != start and not (np.isnan(start) and (np.isnan(value) or value == 0.0))
         }
 
-
     def words(self, si: np.ndarray, given: np.ndarray) -> str:
         """Return values (n,) in words: those that are not as given, else those that are not the start values."""
         changed = self.changed(si)

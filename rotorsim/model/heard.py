@@ -63,10 +63,9 @@ class Heard:
             known = self._of.get(key)
             self._of[key] = one if known is None else replace(known, count=known.count + one.count)
 
-    def times(self, subject: str, kind: str) -> int:
-        """Return how often a failure was heard."""
-        known = self._of.get((subject, kind, ""))
-        return 0 if known is None else known.count
+    def of(self, subject: str, kind: str) -> Mishap | None:
+        """Return the failures of a part of one kind, None where there was none."""
+        return self._of.get((subject, kind, ""))
 
 
 _listening: list[Heard] = []
@@ -86,6 +85,11 @@ def hearing() -> Iterator[Heard]:
 def listener() -> Heard:
     """Return whom failures are told: nobody's where nobody listens."""
     return _listening[-1] if _listening else Heard()
+
+
+def is_heard() -> bool:
+    """Return whether somebody listens: whether this is inside a fit."""
+    return bool(_listening)
 
 
 def tell(error: BaseException) -> None:
