@@ -30,9 +30,9 @@ from rotorsim.fmi.runtime.slave import TIMEOUT, Slave
 from rotorsim.model.heard import GIVEN_UP, is_heard, listener, remark
 
 MOST_PROCESSES = 24  # of one block, those used last
-KEPT_POINTS = (
-    6  # values of all parameters, each with differences by every one, whose instances in this process are kept
-)
+# Values of all parameters whose instances in this process are kept, each with differences by every one: a step of a
+# search takes two (where it is, and its trial), and searches for two rivals and the diagram as given take turns.
+KEPT_POINTS = 6
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
 # In a fit: a search begins with a damping of 1e-4, and takes 10 times as much at every trial that fails; at the sixth
 # its step is shorter by a factor of 11, and one that still gets no answer ends the fit, a minute of TIMEOUT later.

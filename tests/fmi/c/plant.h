@@ -15,7 +15,7 @@ enum { OK, SEGV, HANG, FAIL, NOT_A_NUMBER, DISCARD, HUNGRY, LEAVE, ABORT, PRINT,
 
 typedef struct {
     double t, x[N], v[N], u[N], stiffness, damping, gain, wall, tick, fault_time, fault_above, next;
-    int fault, count, enabled, initialised;
+    int fault, count, enabled, initialised, flooded;
     char label[64];
     void *logger, *environment;
     const char *name;
@@ -77,7 +77,8 @@ static int misbehave(Plant *p, double t) {
         case ABORT: fprintf(stderr, "assertion failed: the plant is tired\n"); abort();
         case PRINT: for (int k = 0; k < 20000; k++) printf("line %d of what nobody wants to read\n", k); break;
         case FLOOD:
-            for (int k = 0; k < 20000; k++) chatter(p, k), printf("flood %d\n", k), fprintf(stderr, "flood %d\n", k);
+            for (int k = 0; k < 100000 && !p->flooded; k++) chatter(p, k), printf("flood %d\n", k);
+            p->flooded = 1;
             break;
         case LEAVE_WELL: exit(0);
         case FATAL: return 4;
