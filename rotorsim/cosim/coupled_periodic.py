@@ -22,8 +22,8 @@ from rotorsim.settled.result import Periodic
 # Periods that are run: doubled until what is extrapolated stays. From the last 12 of 24 terms ten modes are eliminated,
 # five that swing, which are those of a flexible rotor in its bearings; after six doublings a run takes minutes.
 FIRST_TURNS, MOST_TURNS = 24, 1536
-# Of the largest harmonic of a channel, what may change from extrapolating earlier: a tenth of the error of a coupling of
-# first order with 10 000 steps a period.
+# Of the largest harmonic of a channel, what may change from extrapolating earlier: a tenth of the error of a coupling
+# of first order with 10 000 steps a period.
 STAYS = 1e-5
 KEPT = 1e-6  # of the largest harmonic of a channel: orders above all such are left out; a tenth of STAYS
 # Of the change from period to period, how constant it is where a signal drifts: a transient like that would have a time

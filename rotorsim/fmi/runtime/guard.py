@@ -1,4 +1,4 @@
-"""FMUs in this process that end it: exit(0) inside one would look like a result with nothing in it, and exit code 0."""
+"""FMUs in this process that end it: not without a word, and never by exit(0), which would look like an empty result."""
 
 from __future__ import annotations
 
@@ -10,26 +10,39 @@ from typing import Any
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 
 _SOURCE = r"""
+#include <signal.h>
 #include <stdlib.h>
 #include <string.h>
 #ifdef _WIN32
 #include <io.h>
+#define RS_EXPORT __declspec(dllexport)
 #else
 #include <unistd.h>
+#define RS_EXPORT
 #endif
 static const char *said;
-static void ended(void) {
-    if (!said) return;
-    if (write(2, said, strlen(said)) < 0) _exit(1);
-    _exit(1);
+static int tell(const char *how) {
+    return said && write(2, how, strlen(how)) > 0 && write(2, said, strlen(said)) > 0;
 }
-#ifdef _WIN32
-__declspec(dllexport)
-#endif
-void rs_guard(const char *text) {
+static void left(void) {
+    if (said && tell("error: this process has left by exit()")) _exit(1);
+    if (said) _exit(1);
+}
+static void crashed(int number) {
+    tell("error: this process has crashed");
+    signal(number, SIG_DFL);
+    raise(number);
+}
+RS_EXPORT void rs_guard(const char *text) {
+    static const int crashes[] = {SIGSEGV, SIGABRT, SIGFPE, SIGILL};
     static int known;
     said = text;
-    if (text && !known) known = !atexit(ended);
+    if (!text || known) return;
+    known = !atexit(left);
+    for (int k = 0; k < 4; k++) {
+        void (*before)(int) = signal(crashes[k], crashed);
+        if (before != SIG_DFL) signal(crashes[k], before);
+    }
 }
 """
 _inside: dict[str, Any] = {}
@@ -50,14 +63,13 @@ def _guard() -> Any:
 
 
 def guard_exit(path: str) -> None:
-    """Let this process end with a message and exit code 1 where an FMU in it calls exit; needs a C compiler.
+    """Let this process end with a message where an FMU in it crashes, or calls exit: with exit code 1 then.
 
-    Python's own end, which comes before that of C, is no such end.
+    Needs a C compiler. Python's own end, which comes before that of C, is no such end.
     """
     if path in _inside or (guard := _guard()) is None:
         return
-    names = ", ".join([*_inside, path])
-    text = f"error: an FMU in this process has ended it by exit(); there are {names}\n\n"
-    text += 'hint: in a process of its own, without "in_process", only what it was asked for fails\n'
+    text = f", in which there are FMUs: {', '.join([*_inside, path])}\n\n"
+    text += 'hint: in a process of its own, without "in_process", only what one was asked for fails\n'
     _inside[path] = kept = text.encode()  # C keeps the address
     guard(kept)
