@@ -63,13 +63,14 @@ class FmuEquations:
         self._u, self._p, y = Values(inputs), Values(parameters), Values(outputs)
         self._instances = Instances(name, path, description, in_process, texts, self._u, self._p, y.names, timeout)
         self.path, self.timeout = str(path), timeout
-        self._given: np.ndarray | None = None  # parameters that were asked for first
         self.n_x = len(description.states)
         self.u_names, self.y_names = self._u.names, y.names
         self.u_scales, self.y_scales = self._u.scales, y.scales
         self.n_u, self.n_y, self.n_p = len(self._u), len(y), len(self._p)
         self._most = 2 * self.n_p + 2  # one, and two for the difference by each parameter, and one that comes
         self._most = KEPT_POINTS * self._most if in_process else min(self._most, MOST_PROCESSES)
+        self._once = in_process and description.kinds["me"].once_per_process
+        self._most = 1 if self._once else self._most
         self._slaves: OrderedDict[bytes, Slave] = OrderedDict()
         self._begun: dict[int, np.ndarray] = {}  # the states with which they began
         self._starter: Slave | None = None  # begins with other inputs
@@ -99,6 +100,7 @@ class FmuEquations:
         if self._u.are_starts(u):
             with self._instance(p) as slave:
                 return self._begun[id(slave)].copy()
+        self._one_alone()
         starter, self._starter = self._starter, None
         self._starter = self._instances.new(u, p) if starter is None else self._instances.again(starter, u, p)
         return self._starter.states()
@@ -240,14 +242,16 @@ class FmuEquations:
     @contextmanager
     def _instance(self, p: np.ndarray) -> Iterator[Slave]:
         """Give the instance with parameters p (n_p,), initialised; one that fails is not used again."""
-        self._given = p.copy() if self._given is None else self._given
+        begun = listener().begun
+        if self.name not in begun:
+            begun[self.name] = p.copy()
         self._refuse_hanging()
         try:
             with self._found(p) as slave:
                 yield slave
         except FmuError as error:
             if is_heard():  # in a run they are those of the diagram
-                error.add_values(self._p.words(p, self._given))
+                error.add_values(self._p.words(p, begun[self.name]))
             raise
 
     def _refuse_hanging(self) -> None:
@@ -287,11 +291,19 @@ class FmuEquations:
 
     def _made(self, p: np.ndarray) -> Slave:
         """Return another instance, in the place of the one that was used longest ago where there are enough."""
+        self._one_alone()
         if len(self._slaves) < self._most:
             return self._instances.new(self._u.starts, p)
         spare = self._slaves.popitem(last=False)[1]
         self._forget(spare)
         return self._instances.again(spare, self._u.starts, p)
+
+    def _one_alone(self) -> None:
+        """Free the instance there is, where a process may hold one alone."""
+        if self._once and (self._slaves or self._starter):
+            self.close()
+            what = "allows one instance in a process: it is instantiated anew for all values"
+            remark(self.name, f"{what}; in a process of its own, without \"in_process\", it need not be")
 
     def _forget(self, slave: Slave) -> None:
         self._modes.pop(id(slave), None)

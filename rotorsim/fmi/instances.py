@@ -15,6 +15,7 @@ import numpy as np
 
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.description.model import ModelDescription
+from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.slave import Fmu, Slave, open_fmu
 from rotorsim.model.heard import remark
 
@@ -107,6 +108,12 @@ class Instances:
         try:
             slave.free_states()
             slave.reset()
+        except FmuError as error:
+            slave.free()
+            if error.kind in ("error", "discard"):
+                self._is_made_anew("cannot be reset")
+            return self.new(u, p)
+        try:
             self._set_up(slave, u, p)
         except RotorsimError:
             slave.free()
@@ -132,6 +139,9 @@ class Instances:
             fresh.free()
             return slave
         slave.free()
-        what = "reset, it is not what a new instance is: it is instantiated anew for all values"
-        remark(self.name, what)
+        self._is_made_anew("reset, it is not what a new instance is")
         return fresh
+
+    def _is_made_anew(self, why: str) -> None:
+        self._resets = False
+        remark(self.name, f"{why}: it is instantiated anew for all values")

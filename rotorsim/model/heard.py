@@ -42,9 +42,10 @@ class Mishap:
 
 
 class Heard:
-    """The mishaps of a fit, each kind once."""
+    """The mishaps of a fit, each kind once. begun: with which parameters it began, by part."""
 
     def __init__(self) -> None:
+        self.begun: dict[str, Any] = {}
         self._of: dict[tuple[str, ...], Mishap] = {}
 
     @property

@@ -35,6 +35,8 @@ FAULTS = (
     "below",
     "flood",
     "leave_well",
+    "bad_reset",
+    "no_reset",
 )
 SOURCES = Path(__file__).parent / "c"
 _FLAGS = 'canGetAndSetFMU{s}="true" canSerializeFMU{s}="true" canBeInstantiatedOnlyOncePerProcess="{once}"'

@@ -11,11 +11,11 @@
 #include <unistd.h>
 
 enum { OK, SEGV, HANG, FAIL, NOT_A_NUMBER, DISCARD, HUNGRY, LEAVE, ABORT, PRINT, FATAL, BAD_FREE, TERMINATE, CHILD,
-       BELOW, FLOOD, LEAVE_WELL };
+       BELOW, FLOOD, LEAVE_WELL, BAD_RESET, NO_RESET };
 
 typedef struct {
     double t, x[N], v[N], u[N], stiffness, damping, gain, wall, tick, fault_time, fault_above, next;
-    int fault, count, enabled, initialised, flooded;
+    int fault, count, enabled, initialised, flooded, resets;
     char label[64];
     void *logger, *environment;
     const char *name;
@@ -32,9 +32,10 @@ static void begin(Plant *p) {
 }
 
 static void slope(const Plant *p, const double *x, const double *v, double *dx, double *dv) {
+    const double stiffness = p->fault == BAD_RESET && p->resets ? 1.1 * p->stiffness : p->stiffness;
     for (int k = 0; k < N; k++) {
         dx[k] = v[k];
-        dv[k] = (p->enabled ? p->u[k] : 0.0) - p->stiffness * x[k] - p->damping * v[k];
+        dv[k] = (p->enabled ? p->u[k] : 0.0) - stiffness * x[k] - p->damping * v[k];
     }
 }
 

@@ -52,7 +52,12 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean d, fmi2Real e, fmi2R
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { tick(P); return fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { return P->fault == TERMINATE ? fmi2Error : fmi2OK; }
-fmi2Status fmi2Reset(fmi2Component c) { begin(P); return fmi2OK; }
+fmi2Status fmi2Reset(fmi2Component c) {
+    if (P->fault == NO_RESET) return fmi2Error;
+    begin(P);
+    P->resets++;
+    return fmi2OK;
+}
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real value[]) {
     double dx[N], dv[N];
     slope(P, P->x, P->v, dx, dv);
