@@ -303,7 +303,7 @@ class FmuEquations:
         if self._once and (self._slaves or self._starter):
             self.close()
             what = "allows one instance in a process: it is instantiated anew for all values"
-            remark(self.name, f"{what}; in a process of its own, without \"in_process\", it need not be")
+            remark(self.name, f'{what}; in a process of its own, without "in_process", it need not be')
 
     def _forget(self, slave: Slave) -> None:
         self._modes.pop(id(slave), None)

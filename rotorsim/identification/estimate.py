@@ -17,7 +17,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.coordinates import ANGLE_UNIT, Coordinates, coordinates_of
 from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.likelihood import Evaluation
-from rotorsim.model.heard import BARRED, barred, gives_up
+from rotorsim.model.heard import BARRED, barred, gives_up, surviving
 
 TURN = 2 * np.pi
 STARTS = 12  # values over a turn of an angle that enters in several harmonics
@@ -331,8 +331,7 @@ def estimate(search: Search, start: np.ndarray | None = None, *, tries: int = 3)
     starts = search.starts()[:tries] if start is None else [search.coordinates.inside(start)]
     best: np.ndarray | None = None
     least = np.inf
-    for q in starts:
-        found = search.minimise(q)
+    for found in surviving(search.minimise, starts):
         cost = float(search.residual(found) @ search.residual(found)) * search.preference(found)
         if cost < least * (1 - 1e-9):
             best, least = found, cost

@@ -16,6 +16,7 @@ from rotorsim.errors import Place, Problem, RotorsimError
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
 BARRED = 1.0  # misfit that the next step of a search would gain: more than the noise makes of one parameter by itself
 GIVEN_UP = "given up"  # kind of a failure after which a part is not asked any more: it ends a fit
 
@@ -112,6 +113,24 @@ def remark(subject: str, what: str) -> None:
 def gives_up(error: RotorsimError) -> bool:
     """Return whether a failure of a trial ends the fit."""
     return getattr(error, "kind", "") == GIVEN_UP
+
+
+def surviving(function: Callable[[T], R], starts: Iterable[T]) -> Iterator[R]:
+    """Yield what a function gives from each start at which nothing fails. Raises the first failure where all fail."""
+    first: RotorsimError | None = None
+    any_good = False
+    for start in starts:
+        try:
+            found = function(start)
+        except RotorsimError as error:
+            if gives_up(error):
+                raise
+            first = first or error
+            continue
+        any_good = True
+        yield found
+    if first is not None and not any_good:
+        raise first
 
 
 def barred(error: RotorsimError) -> RotorsimError:

@@ -22,7 +22,7 @@ from rotorsim.fmi.runtime.printing import Printed
 from rotorsim.identification.identification import identify
 from rotorsim.identification.waveform.search import Evaluation
 from rotorsim.jobs.jobs import Failure, Jobs
-from rotorsim.model.heard import Mishap, hearing, remark, tell
+from rotorsim.model.heard import GIVEN_UP, Mishap, hearing, remark, surviving, tell
 from rotorsim.recordings.loading import load_recording
 from tests.fmi.plant import FAULTS, make_fmu
 from tests.fmi.test_fits import BEYOND, driven, folder, found_right  # noqa: F401 - a fixture
@@ -63,6 +63,20 @@ def test_what_nobody_hears_is_a_warning() -> None:
         remark("it", "cannot be reset")
 
 
+def test_starts_at_which_it_fails_are_lost_alone() -> None:
+    def followed(start: int) -> int:
+        if start < 0:
+            raise FAILED if start > -9 else FmuError("no more", kind=GIVEN_UP, name="it", place=Place("a.fmu"))
+        return 2 * start
+
+    assert [*surviving(followed, [-1, 2, -3, 4])] == [4, 8]
+    assert [*surviving(followed, [])] == []
+    with pytest.raises(FmuError, match="fmi2GetDerivatives returned fmi2Error"):
+        [*surviving(followed, [-1, -2])]
+    with pytest.raises(FmuError, match="no more"):
+        [*surviving(followed, [1, -9, 2])]
+
+
 def test_the_values_at_which_it_failed_are_said(plants: Path) -> None:
     """Those that a fit has moved; where it begins, those that the diagram gives."""
     equations = equations_of(plants, in_process=True, fault=FAULTS.index("fail"), fault_above=110.0, label="values")
@@ -71,9 +85,10 @@ def test_the_values_at_which_it_failed_are_said(plants: Path) -> None:
     p[names.index("fault_above")], p[names.index("fault")] = 110.0, FAULTS.index("fail")
     moved = p.copy()
     moved[names.index("stiffness")], moved[names.index("damping")] = 140.25, 0.75
-    with hearing(), pytest.raises(FmuError) as caught:
+    with hearing():
         equations.rates(0.0, np.zeros(2), u, p)
-        equations.rates(0.25, np.zeros(2), u, moved)
+        with pytest.raises(FmuError) as caught:
+            equations.rates(0.25, np.zeros(2), u, moved)
     said = "fmi2GetDerivatives returned fmi2Error (t = 0.25 s) with stiffness = 140.25, damping = 0.75"
     assert caught.value.problems[0].what == said
     with hearing(), pytest.raises(FmuError) as caught:
