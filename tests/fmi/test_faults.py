@@ -25,6 +25,7 @@ from rotorsim.jobs.jobs import Failure, Jobs
 from rotorsim.model.heard import GIVEN_UP, Mishap, hearing, remark, surviving, tell
 from rotorsim.recordings.loading import load_recording
 from tests.fmi.plant import FAULTS, make_fmu
+from tests.fmi.runtime.test_process import clean  # noqa: F401 - a fixture
 from tests.fmi.test_fits import BEYOND, driven, folder, found_right  # noqa: F401 - a fixture
 from tests.fmi.test_numbers import equations_of
 
@@ -131,11 +132,11 @@ def test_a_search_that_would_go_on_where_it_fails_is_no_result(folder: Path) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["segv", "leave_well", "flood", "hang"])
 def test_an_fmu_in_a_process_of_its_own_ends_no_fit(
+    clean: Path,  # noqa: F811 - no process, file or descriptor is left
     folder: Path,  # noqa: F811
     fault: str,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    close_instances()
     diagram = driven(folder, in_process=False, fault=FAULTS.index(fault), timeout=1, **BEYOND)
     found = identify(diagram, load_recording(folder))
     close_instances()
