@@ -301,7 +301,7 @@ class FmuEquations:
     def _one_alone(self) -> None:
         """Free the instance there is, where a process may hold one alone."""
         if self._once and (self._slaves or self._starter):
-            self.close()
+            self.close(files=False)
             what = "allows one instance in a process: it is instantiated anew for all values"
             remark(self.name, f'{what}; in a process of its own, without "in_process", it need not be')
 
@@ -357,12 +357,14 @@ class FmuEquations:
             self.native.forget(slave)
             self.prefer(p)
 
-    def close(self) -> None:
-        """Free all instances; they are made anew when they are needed."""
+    def close(self, *, files: bool = True) -> None:
+        """Free all instances, and the unpacked files; they are made anew when they are needed."""
         for slave in [*self._slaves.values(), *([self._starter] if self._starter else [])]:
             self._free(slave)
         self._slaves.clear()
         self._starter = None
+        if files:
+            self._instances.close()
 
     def discard(self, p: np.ndarray) -> None:
         """Free the instance with parameters p: the next one begins anew."""

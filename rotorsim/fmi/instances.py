@@ -100,6 +100,12 @@ class Instances:
             raise
         return slave
 
+    def close(self) -> None:
+        """Remove the unpacked files; they are unpacked again when they are needed."""
+        fmu, self._fmu = self._fmu, None
+        if fmu is not None:
+            fmu.close()
+
     def again(self, slave: Slave, u: np.ndarray, p: np.ndarray) -> Slave:
         """Return an instance in the place of one that is not needed: that one, reset, or a new one."""
         if self._resets is False:

@@ -137,14 +137,14 @@ def test_an_fmu_in_a_process_of_its_own_ends_no_fit(
     fault: str,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    diagram = driven(folder, in_process=False, fault=FAULTS.index(fault), timeout=1, **BEYOND)
+    diagram = driven(folder, in_process=False, fault=FAULTS.index(fault), timeout=5, **BEYOND)
     found = identify(diagram, load_recording(folder))
     close_instances()
     assert found_right(found)
     said = {
         "segv": "its process was ended by SIGSEGV (it used memory that is not its own), in fmi2GetDerivatives",
         "leave_well": "its process left with exit code 0, in fmi2GetDerivatives",
-        "hang": "does not answer within 1 s, in fmi2GetDerivatives",
+        "hang": "does not answer within 5 s, in fmi2GetDerivatives",
     }
     told = [one.what for one in found.warnings if one.subject == "it"]
     assert len(told) == (fault in said)

@@ -168,3 +168,13 @@ def test_of_a_flood_of_messages_the_first_and_the_last_are_kept() -> None:
     said = "19000 more messages came at once and are lost"
     assert lines == [*map(str, range(500)), said, *map(str, range(19_500, 20_000))]
     assert (log.counts, log.taken()) == ({"OK": 20_000}, [])
+
+
+def test_of_a_longer_flood_only_warnings_are_kept() -> None:
+    log = Log("3.0")
+    for k in range(21_002):  # 20 000 lost, beside the 1000 that are kept
+        log.add(int(k == 21_001), b"c", b"%d" % k)
+    lines = [text for _, _, text in log.taken()]
+    assert lines[500:502] == ["20002 more messages came at once and are lost", "20501"]
+    assert lines[-2:] == ["20999", "21001"]
+    assert log.counts == {"OK": 21_001, "Warning": 1}

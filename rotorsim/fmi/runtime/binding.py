@@ -17,6 +17,9 @@ from typing import Any
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 KEPT, LONGEST = 1000, 2000  # messages kept until they are taken, characters of one: 4 MB at most, of UTF-8 in Python
+FLOOD = 20 * KEPT  # lost at once: what then is no warning is counted only, in 4 us instead of 22: no flood is a hang
+    20 * KEPT
+)  # lost at once: from then on what is no warning is counted only, in 4 us instead of 22: no flood is a hang
 
 # Our type -> the word in the names of the functions, the type of C.
 TYPES: dict[str, dict[str, tuple[str, Any]]] = {
@@ -203,6 +206,8 @@ class Log:
 
     def add(self, status: int, category: bytes | None, message: bytes | None) -> None:
         """Keep a message."""
+        if self._is_flood(status):
+            return
         kind, text = ((t or b"")[:LONGEST].decode("utf-8", "replace").strip() for t in (category, message))
         word = STATUS[status] if 0 <= status < len(STATUS) else str(status)
         self.counts[word] = self.counts.get(word, 0) + 1
@@ -215,11 +220,21 @@ class Log:
     def _formatted(
         self, _: int, __: bytes, status: int, category: bytes | None, message: bytes | None, *more: Any
     ) -> None:
+        if self._is_flood(status):
+            return
         try:
             text = format_message(message or b"", more[:_SLOTS], more[_SLOTS:]) if more else message
         except Exception:
             text = message
         self.add(status, category, text)
+
+    def _is_flood(self, status: int) -> bool:
+        """Return whether a message is counted only, and count it then."""
+        if status or self.lost < FLOOD:
+            return False
+        self.counts["OK"] = self.counts.get("OK", 0) + 1
+        self.lost += 1
+        return True
 
     def taken(self) -> list[tuple[str, str, str]]:
         """Return the messages and forget them."""
