@@ -18,8 +18,6 @@ from typing import Any
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 KEPT, LONGEST = 1000, 2000  # messages kept until they are taken, characters of one: 4 MB at most, of UTF-8 in Python
 FLOOD = 20 * KEPT  # lost at once: what then is no warning is counted only, in 4 us instead of 22: no flood is a hang
-    20 * KEPT
-)  # lost at once: from then on what is no warning is counted only, in 4 us instead of 22: no flood is a hang
 
 # Our type -> the word in the names of the functions, the type of C.
 TYPES: dict[str, dict[str, tuple[str, Any]]] = {
