@@ -235,6 +235,18 @@ def _open_streams() -> None:
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
 
 
+def _keep_output() -> None:
+    """Let standard output be ours alone: what FMUs and compilers print in this process, or in one that it starts, goes
+    where messages go.
+    """
+    sys.stdout.flush()
+    ours = open(  # noqa: SIM115
+        os.dup(1), "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors, buffering=1 if os.isatty(1) else -1
+    )
+    os.dup2(2, 1)
+    sys.stdout = ours
+
+
 @click.command(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.option("--debug", is_flag=True, expose_value=False, help="Show the traceback of a failure (with any verb).")
 @click.version_option(package_name="rotorsim", message="rotorsim %(version)s")
@@ -250,4 +262,5 @@ def rotorsim() -> None:
 def main() -> NoReturn:
     """Run the command line of this process."""
     _open_streams()
+    _keep_output()
     rotorsim.main()

@@ -109,7 +109,6 @@ def command(
     rotorsim cosim jeffcott --part controller --step "20 us" --order 1 --rate controller=5
     """
     from rotorsim.cosim.cosimulation import cosimulate_diagram
-    from rotorsim.fmi.runtime.printing import printing_elsewhere
 
     width = quantity(step, "s", "--step")
     end = None if stop is None else quantity(stop, "s", "--stop")
@@ -119,7 +118,7 @@ def command(
     for part, names in zip(parts, groups, strict=True):
         refuse_if(not names, f"--part '{part}': names no block", hint=hint)
     loaded = chosen.open()
-    with progress_bar("cosim", progress) as bar, printing_elsewhere(), _logging(log) as hear:
+    with progress_bar("cosim", progress) as bar, _logging(log) as hear:
         result = cosimulate_diagram(
             loaded,
             groups,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -17,6 +18,7 @@ from rotorsim.cli.shared import (
     note,
     recording_argument,
     show,
+    show_problems,
 )
 from rotorsim.criteria import CRITERIA
 from rotorsim.report.text.table import table
@@ -40,7 +42,7 @@ def command(
 ) -> int:
     """Find the node at which a crack (or another force) acts: every node is tried and refitted.
 
-    Exit code 1: the place is not sure, or the model does not explain the data even there.
+    Exit code 1: the place is not sure, the model does not explain the data even there, or a node could not be fitted.
     With --count 2 the block and a copy of it are tried at every pair of nodes, and compared with one alone.
 
     \b
@@ -51,7 +53,10 @@ def command(
 
     loaded, measured, trust = chosen.open(), load_recording(recording), chosen.trust_blocks
     locations = locate(loaded, measured, block, count=count, given=given, trust_blocks=trust)
-    single = locate(loaded, measured, block, given=given, trust_blocks=trust)[0] if count == 2 else None
+    alone = locate(loaded, measured, block, given=given, trust_blocks=trust) if count == 2 else None
+    single = None if alone is None else alone[0]
+    show_problems([*locations.warnings, *(alone.warnings if alone else [])])
+    failed = {**locations.failed, **(alone.failed if alone else {})}
     if out:
         _save(locations[0], loaded, out, trust)
         note(f"written: {out}")
@@ -60,12 +65,11 @@ def command(
         for item in locations
     ]
     places = table((f"node of {block}", "probability", "misfit / freedom"), rows)
-    show(as_json, lambda: _data(locations, single), lambda: f"{places}\n\n{_statement(locations, single, block)}")
-    return (
-        0
-        if locations[0].probability > CRITERIA.located and locations[0].estimate.goodness >= CRITERIA.not_explained
-        else 1
-    )
+    said = " ".join([_statement(locations, single, block), *map(_not_tried, failed.items())])
+    show(as_json, lambda: _data(locations, single, failed), lambda: f"{places}\n\n{said}")
+    best = locations[0]
+    sure = best.probability > CRITERIA.located and best.estimate.goodness >= CRITERIA.not_explained
+    return 0 if sure and not failed else 1
 
 
 def _save(best: Location, diagram: Diagram, file: str, trust_blocks: bool) -> None:
@@ -101,7 +105,12 @@ def _statement(locations: list[Location], single: Location | None, block: str) -
     return f"One {block} at node {single.nodes[0]} is enough: a second one gains nothing (BIC {-gain:+.3g}){poor}."
 
 
-def _data(locations: list[Location], single: Location | None) -> dict[str, Any]:
+def _not_tried(failed: tuple[tuple[int, ...], str]) -> str:
+    nodes, why = failed
+    return f"Node {' and '.join(map(str, nodes))} could not be fitted, so that nothing is said of it ({why})."
+
+
+def _data(locations: list[Location], single: Location | None, failed: Mapping[tuple[int, ...], str]) -> dict[str, Any]:
     def one(item: Location) -> dict[str, Any]:
         return {
             "nodes": item.nodes,
@@ -112,4 +121,8 @@ def _data(locations: list[Location], single: Location | None) -> dict[str, Any]:
             "parameters": item.values,
         }
 
-    return {"places": [one(item) for item in locations], "one_alone": None if single is None else one(single)}
+    return {
+        "places": [one(item) for item in locations],
+        "one_alone": None if single is None else one(single),
+        "failed": [{"nodes": nodes, "why": why} for nodes, why in failed.items()],
+    }

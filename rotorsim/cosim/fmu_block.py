@@ -43,6 +43,7 @@ def fmu_participant(
     fmu = open_fmu(
         block.fmu_path,
         in_process=bool(option.in_process),
+        timeout=float(option.timeout),
         log=hear if log is not None else None,
         sizes=block.fmu_description.sizes,
     )

@@ -25,6 +25,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.jobs import Jobs
 from rotorsim.jobs.threads import one_thread
 from rotorsim.measure.checks import check_signals
+from rotorsim.model.heard import listener, said
 from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording
 
@@ -33,6 +34,7 @@ __all__ = ["Diagnosis", "diagnose"]
 RECALIBRATIONS = 2  # of the noise by what the effects leave, each of which begins the search anew
 
 
+@said
 def diagnose(
     diagram: Diagram,
     recording: Recording | OrderRecording,
@@ -56,7 +58,7 @@ def diagnose(
     with one_thread():
         opened = open_evidence(diagram, recording, hold_out, Catalogue.of(diagram, physics, trust_blocks), warnings)
     if opened.base.failure:
-        raise RotorsimError(Problem(opened.base.failure, diagram.name))
+        raise RotorsimError(Problem(opened.base.failure, diagram.name), exit_code=1 if listener().mishaps else 2)
     evidence, selection = opened.evidence, select_effects(opened.base, opened.evidence, opened.catalogue, jobs)
     base = opened.base
     for n in range(RECALIBRATIONS):

@@ -36,10 +36,10 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, Entry, FmuVariable, ModelDescription
 from rotorsim.fmi.functions import functions_of, held_inputs, moving_inputs
 from rotorsim.fmi.mode import FmuMode
-from rotorsim.fmi.runtime.slave import describe_fmu
+from rotorsim.fmi.runtime.slave import TIMEOUT, describe_fmu
 
 _INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
-_TAKEN = ("file", "interface", "in_process", "linear")  # options of the block: a value of the FMU so named gets a "_"
+_TAKEN = ("file", "interface", "in_process", "linear", "timeout")  # options of the block: a value of the FMU gets "_"
 _WORDS: dict[str, type] = {"Boolean": bool, "String": str}  # types whose values are given as such
 
 
@@ -261,6 +261,7 @@ def _made(
             True, kind=bool, doc="take its description at its word where that says that its equations are linear"
         ),
         "in_process": Option(False, kind=bool, doc="load its code into this process: faster, but a crash is ours"),
+        "timeout": Option(TIMEOUT, kind=(int, float), low=1, doc="for one answer of a process of its own [s]"),
     }
     for port in inputs.values():
         body[f"_i_{port.name}"] = In(

@@ -14,27 +14,31 @@ changes its side or a time event is due, there are none, and that is an error, b
 
 from __future__ import annotations
 
-import warnings
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
 
-from rotorsim.errors import RotorsimError
+from rotorsim.errors import Place, RotorsimError
 from rotorsim.fmi.compiled import InC
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.fmi.instances import Instances, Values
-from rotorsim.fmi.runtime.slave import Slave
+from rotorsim.fmi.runtime.failure import FmuError
+from rotorsim.fmi.runtime.slave import TIMEOUT, Slave
+from rotorsim.model.heard import GIVEN_UP, is_heard, listener, remark
 
 MOST_PROCESSES = 24  # of one block, those used last
-KEPT_POINTS = (
-    6  # values of all parameters, each with differences by every one, whose instances in this process are kept
-)
+# Values of all parameters whose instances in this process are kept, each with differences by every one: a step of a
+# search takes two (where it is, and its trial), and searches for two rivals and the diagram as given take turns.
+KEPT_POINTS = 6
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
 PROBED = (1e-6, 1e-3, 1.0)  # of the nominal values of states, and of 1 of inputs: where linear equations are checked
 ROUNDED = 1e-12  # of sums that cancel
+# In a fit: a search begins with a damping of 1e-4, and takes 10 times as much at every trial that fails; at the sixth
+# its step is shorter by a factor of 11, and one that still gets no answer ends the fit, a minute of TIMEOUT later.
+MOST_HANGS = 6
 CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
 
 
@@ -51,25 +55,30 @@ class FmuEquations:
         inputs: Sequence[Any],
         outputs: Sequence[Any],
         parameters: Sequence[Any],
+        timeout: float = TIMEOUT,
     ) -> None:
         """Take the ports of inputs, outputs and parameters (`rotorsim.fmi.block.FmuPort`); texts: other values.
 
-        name: of the block, by which failures are told.
+        name: of the block, by which failures are told. timeout: for one answer of a process of its own [s].
         """
         self.name, self.description = name, description
         self._u, self._p, y = Values(inputs), Values(parameters), Values(outputs)
-        self.instances = Instances(name, path, description, in_process, texts, self._u, self._p, y.names)
+        self.instances = Instances(name, path, description, in_process, texts, self._u, self._p, y.names, timeout)
+        self.path, self.timeout = str(path), timeout
         self.n_x = len(description.states)
         self.u_names, self.y_names = self._u.names, y.names
         self.u_scales, self.y_scales = self._u.scales, y.scales
         self.n_u, self.n_y, self.n_p = len(self._u), len(y), len(self._p)
         self._most = 2 * self.n_p + 2  # one, and two for the difference by each parameter, and one that comes
         self._most = KEPT_POINTS * self._most if in_process else min(self._most, MOST_PROCESSES)
+        self._once = in_process and description.kinds["me"].once_per_process
+        self._most = 1 if self._once else self._most
         self._slaves: OrderedDict[bytes, Slave] = OrderedDict()
         self._begun: dict[int, np.ndarray] = {}  # the states with which they began
         self._starter: Slave | None = None  # begins with other inputs
         self._modes: dict[int, tuple[np.ndarray, float]] = {}  # sides of event indicators, next time event
         self._guarded = True
+        self.hangs = False  # whether it ever did
         self.seen = np.zeros(self.n_u + description.n_events)  # raw inputs, indicators, where x' was asked for last
         self._exact, self._checked = self._has_directional(), False
         self._slopes: OrderedDict[bytes, np.ndarray] = OrderedDict()
@@ -95,6 +104,7 @@ class FmuEquations:
         if self._u.are_starts(u):
             with self._instance(p) as slave:
                 return self._begun[id(slave)].copy()
+        self._one_alone()
         starter, self._starter = self._starter, None
         self._starter = self.instances.new(u, p) if starter is None else self.instances.again(starter, u, p)
         return self._starter.states()
@@ -133,7 +143,7 @@ class FmuEquations:
         for group, first, one in ((0, 0, wanted[0] and self.timed), (3, 1 + n_x + n_u, wanted[3])):
             for k in range(len(point[group]) if one else 0):
                 try:
-                    J[:, first + k] = self._difference(point, group, k, self._scale(group, k, point[group][k]))
+                    J[:, first + k] = self._column(point, group, k)
                 except RotorsimError:  # a whole number, or one that has to stay as it is: perhaps nobody asks for it
                     J[:, first + k] = np.nan
         return J
@@ -159,9 +169,8 @@ class FmuEquations:
         if self._exact:
             J = self._by_states_and_inputs(0.0, *point[1:])
         else:  # of a linear function the difference over any step is its slope
-            sizes = [(1, k, self._scale(1, k, 0.0)) for k in range(self.n_x)]
-            sizes += [(2, k, 1.0) for k in range(self.n_u)]
-            J = np.stack([self._difference(point, *place, relative=1.0) for place in sizes], axis=1)
+            places = [(1, k) for k in range(self.n_x)] + [(2, k) for k in range(self.n_u)]
+            J = np.stack([self._column(point, *place, relative=1.0) for place in places], axis=1)
         if not self._is_linear:
             self._check_linear(J, p)
         return J
@@ -201,8 +210,7 @@ class FmuEquations:
             J[:, n_x:] /= self.u_scales[:, 0]
             return np.asarray(J)
         point = [np.array([t]), x, u, p]
-        columns = [self._difference(point, 1, k, self._scale(1, k, x[k])) for k in range(n_x)]
-        columns += [self._difference(point, 2, k, self._scale(2, k, u[k])) for k in range(n_u)]
+        columns = [self._column(point, 1, k) for k in range(n_x)] + [self._column(point, 2, k) for k in range(n_u)]
         return np.stack(columns, axis=1)
 
     def _check_derivatives(self, x: np.ndarray, p: np.ndarray) -> None:
@@ -224,21 +232,39 @@ class FmuEquations:
         self._exact = bool((off <= CHECKED * np.abs(found).max(axis=0, initial=0.0)).all())
         if not self._exact:
             what = "its directional derivatives are not those of its equations: central differences are taken"
-            warnings.warn(f"{self.name}: {what}", RuntimeWarning, stacklevel=2)
+            remark(self.name, what)
 
-    def _difference(
-        self, point: Sequence[np.ndarray], group: int, k: int, scale: float, relative: float = RELATIVE_STEP
+    def _column(self, point: Sequence[np.ndarray], group: int, k: int, relative: float = RELATIVE_STEP) -> np.ndarray:
+        """Return the derivative of x' and y by an entry of t, x, u or p."""
+        seeds = [np.zeros(len(part)) for part in point]
+        seeds[group][k] = 1.0
+        return self.difference(self.both, point, seeds, relative)
+
+    def difference(
+        self,
+        of: Callable[..., np.ndarray],
+        point: Sequence[np.ndarray],
+        seeds: Sequence[np.ndarray],
+        relative: float = RELATIVE_STEP,
     ) -> np.ndarray:
-        """Return the central difference of x' and y over an entry of t, x, u or p."""
+        """Return the central difference of a function of t, x, u, p in a direction of them.
+
+        Over a step that is small beside every entry that moves; relative: so much of it.
+        """
+        room = [
+            self._scale(group, k, float(point[group][k])) / abs(float(by))
+            for group, own in enumerate(seeds)
+            for k, by in enumerate(own)
+            if by
+        ]
+        step = relative * min(room)
         ends = []
         for sign in (1.0, -1.0):
-            moved = [part.copy() for part in point]
-            moved[group][k] += sign * relative * scale
-            ends.append((self.both(float(moved[0][0]), *moved[1:]), moved[group][k]))
-        if group == 3:
-            self.know(point[3], np.eye(self.n_p)[k], RELATIVE_STEP * scale)
-        (high, above), (low, below) = ends
-        return np.asarray((high - low) / (above - below))
+            t, x, u, p = (one + sign * step * seed for one, seed in zip(point, seeds, strict=True))
+            ends.append(of(float(t[0]), x, u, p))
+        if not any(seed.any() for seed in seeds[:3]):
+            self.know(point[3], seeds[3], step)
+        return np.asarray((ends[0] - ends[1]) / (2 * step))
 
     def _scale(self, group: int, k: int, value: float) -> float:
         """Return the size over which an entry of t, x, u or p changes."""
@@ -271,6 +297,29 @@ class FmuEquations:
     @contextmanager
     def _instance(self, p: np.ndarray) -> Iterator[Slave]:
         """Give the instance with parameters p (n_p,), initialised; one that fails is not used again."""
+        begun = listener().begun
+        if self.name not in begun:
+            begun[self.name] = p.copy()
+        self._refuse_hanging()
+        try:
+            with self._found(p) as slave:
+                yield slave
+        except FmuError as error:
+            if is_heard():  # in a run they are those of the diagram
+                error.add_values(self._p.words(p, begun[self.name]))
+            raise
+
+    def _refuse_hanging(self) -> None:
+        """Raise FmuError where whoever listens has heard of enough hangs: every one of them costs the time limit."""
+        heard = listener().of(self.name, "hang") if self.hangs else None
+        if heard is not None and heard.count >= MOST_HANGS:
+            first = heard.what.partition("\n")[0]
+            what = f"is not asked any more in this fit, in which {MOST_HANGS} times it did not answer; first: {first}"
+            hint = 'more time for an answer: "timeout" among the parameters of its block, in s'
+            raise FmuError(what, kind=GIVEN_UP, name=self.name, place=Place(self.path), hint=hint)
+
+    @contextmanager
+    def _found(self, p: np.ndarray) -> Iterator[Slave]:
         key = p.tobytes()
         slave = self._slaves.get(key)
         if slave is None:
@@ -290,17 +339,26 @@ class FmuEquations:
         try:
             yield slave
         except BaseException as error:
+            self.hangs = self.hangs or getattr(error, "kind", "") == "hang"
             if getattr(error, "kind", "") != "event":
                 self._free(self._slaves.pop(key))
             raise
 
     def _made(self, p: np.ndarray) -> Slave:
         """Return another instance, in the place of the one that was used longest ago where there are enough."""
+        self._one_alone()
         if len(self._slaves) < self._most:
             return self.instances.new(self._u.starts, p)
         spare = self._slaves.popitem(last=False)[1]
         self._forget(spare)
         return self.instances.again(spare, self._u.starts, p)
+
+    def _one_alone(self) -> None:
+        """Free the instance there is, where a process may hold one alone."""
+        if self._once and (self._slaves or self._starter):
+            self.close(files=False)
+            what = "allows one instance in a process: it is instantiated anew for all values"
+            remark(self.name, f'{what}; in a process of its own, without "in_process", it need not be')
 
     def _forget(self, slave: Slave) -> None:
         self._modes.pop(id(slave), None)
@@ -354,12 +412,14 @@ class FmuEquations:
             self.native.forget(slave)
             self.prefer(p)
 
-    def close(self) -> None:
-        """Free all instances; they are made anew when they are needed."""
+    def close(self, *, files: bool = True) -> None:
+        """Free all instances, and the unpacked files; they are made anew when they are needed."""
         for slave in [*self._slaves.values(), *([self._starter] if self._starter else [])]:
             self._free(slave)
         self._slaves.clear()
         self._starter = None
+        if files:
+            self.instances.close()
 
     def discard(self, p: np.ndarray) -> None:
         """Free the instance with parameters p: the next one begins anew."""

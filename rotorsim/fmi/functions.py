@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.fmi.compiled import InC
-from rotorsim.fmi.equations import RELATIVE_STEP, FmuEquations
+from rotorsim.fmi.equations import FmuEquations
 from rotorsim.model.called import CALLED_AT, STEADY, has_failed, note_failure, register
 
 
@@ -232,24 +232,7 @@ class _Called(_Function):
             J = self.jacobian_at(point, (False, True, True, False))
             self.equations.prefer(point[3])
             return np.asarray(J @ np.concatenate(seeds))
-        return self._difference(point, seeds)
-
-    def _difference(self, point: Sequence[np.ndarray], seeds: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the central difference in a direction, over a step that is small beside every entry that moves."""
-        room = [
-            (abs(float(value)) or 1.0) / abs(float(by))
-            for group, own in zip(point, seeds, strict=True)
-            for value, by in zip(group, own, strict=True)
-            if by
-        ]
-        step = RELATIVE_STEP * min(room)
-        ends = []
-        for sign in (1.0, -1.0):
-            t, x, u, p = (one + sign * step * seed for one, seed in zip(point, seeds, strict=True))
-            ends.append(self._values(float(t[0]), x, u, p))
-        if not (seeds[0].any() or seeds[1].any() or seeds[2].any()):
-            self.equations.know(point[3], seeds[3], step)
-        return np.asarray((ends[0] - ends[1]) / (2 * step))
+        return self.equations.difference(self._values, point, seeds)
 
     def jacobian_at(self, point: Sequence[np.ndarray], wanted: Sequence[bool]) -> np.ndarray:
         """Return the derivatives by t, x, u and p; those of the last point once more, where it is asked for again."""
@@ -266,7 +249,7 @@ class _Called(_Function):
         ends = np.cumsum(self.sizes)[:-1]
         J = np.zeros((self.size, len(columns)))
         for k in range(self.sizes[0] + self.sizes[1], len(columns)):
-            J[:, k] = self._difference(point, np.split(columns[k], ends))
+            J[:, k] = self.equations.difference(self._values, point, np.split(columns[k], ends))
         return J
 
 
@@ -417,17 +400,19 @@ def functions_of(block: Any) -> FmuFunctions:
     }
     digest, sizes = digest_of(block.fmu_path), sorted(block.fmu_description.sizes.items())
     ports = [*block.fmu_outputs]
-    identity = repr((block.fmu_block, digest, bool(option.in_process), sorted(texts.items(), key=str), sizes, ports))
+    about = bool(option.in_process), float(option.timeout)
+    identity = repr((block.fmu_block, digest, *about, sorted(texts.items(), key=str), sizes, ports))
     if identity not in _known:
         equations = FmuEquations(
             block.fmu_block or block.fmu_description.name,
             block.fmu_path,
             block.fmu_description,
-            bool(option.in_process),
+            about[0],
             texts,
             [*moving_inputs(block).values()],
             [*block.fmu_outputs.values()],
             [*block.fmu_parameters.values(), *held_inputs(block).values()],
+            about[1],
         )
         _known[identity] = FmuFunctions(equations, identity)
     return _known[identity]

@@ -6,7 +6,6 @@ initialised anew, if that once gave what a new one gives.
 
 from __future__ import annotations
 
-import warnings
 import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -16,7 +15,11 @@ import numpy as np
 
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.description.model import ModelDescription
+from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.slave import Fmu, Slave, open_fmu
+from rotorsim.model.heard import remark
+
+SHOWN = 5  # values in a message
 
 
 class Values:
@@ -28,6 +31,7 @@ class Values:
 
     def __init__(self, ports: Sequence[Any]) -> None:
         self.names = [name for port in ports for name in port.entries]
+        self.units = [port.unit if port.unit not in (None, "1") else "" for port in ports for _ in port.entries]
         self.scales = np.concatenate([np.zeros((0, 2)), *(port.scales for port in ports)])
         starts = [np.full(len(p.entries), np.nan) if p.start is None else np.ravel(p.start) for p in ports]
         self.starts = np.concatenate([np.zeros(0), *starts])
@@ -52,6 +56,14 @@ class Values:
             if value != start and not (np.isnan(start) and (np.isnan(value) or value == 0.0))
         }
 
+    def words(self, si: np.ndarray, given: np.ndarray) -> str:
+        """Return values (n,) in words: those that are not as given, else those that are not the start values."""
+        changed = self.changed(si)
+        moved = np.flatnonzero((si != given) & ~(np.isnan(si) & np.isnan(given))).tolist()
+        which = moved or [k for k, name in enumerate(self.names) if name in changed]
+        shown = [f"{self.names[k]} = {si[k]:.9g} {self.units[k]}".rstrip() for k in which[:SHOWN]]
+        return ", ".join([*shown, *(["..."] if len(which) > SHOWN else [])])
+
 
 class Instances:
     """Makes instances of an FMU. texts: values of variables that are no numbers."""
@@ -66,16 +78,19 @@ class Instances:
         inputs: Values,
         parameters: Values,
         outputs: Sequence[str],
+        timeout: float,
     ) -> None:
         self.name, self.path, self.description, self.in_process = name, path, description, in_process
         self.texts, self.inputs, self.parameters, self.outputs = dict(texts), inputs, parameters, list(outputs)
+        self.timeout = timeout
         self._fmu: Fmu | None = None
         self._resets: bool | None = False if in_process else None  # None: not tried yet
 
     def new(self, u: np.ndarray, p: np.ndarray) -> Slave:
         """Return a new instance with parameters p, initialised with inputs u."""
         if self._fmu is None:
-            self._fmu = open_fmu(self.path, in_process=self.in_process, sizes=self.description.sizes)
+            about: dict[str, Any] = {"in_process": self.in_process, "timeout": self.timeout}
+            self._fmu = open_fmu(self.path, sizes=self.description.sizes, **about)
             weakref.finalize(self, self._fmu.close).atexit = False  # its processes see to that themselves
         slave = self._fmu.instantiate("me", self.name)
         try:
@@ -85,6 +100,12 @@ class Instances:
             raise
         return slave
 
+    def close(self) -> None:
+        """Remove the unpacked files; they are unpacked again when they are needed."""
+        fmu, self._fmu = self._fmu, None
+        if fmu is not None:
+            fmu.close()
+
     def again(self, slave: Slave, u: np.ndarray, p: np.ndarray) -> Slave:
         """Return an instance in the place of one that is not needed: that one, reset, or a new one."""
         if self._resets is False:
@@ -93,6 +114,12 @@ class Instances:
         try:
             slave.free_states()
             slave.reset()
+        except FmuError as error:
+            slave.free()
+            if error.kind in ("error", "discard"):
+                self._is_made_anew("cannot be reset")
+            return self.new(u, p)
+        try:
             self._set_up(slave, u, p)
         except RotorsimError:
             slave.free()
@@ -118,6 +145,9 @@ class Instances:
             fresh.free()
             return slave
         slave.free()
-        what = "reset, it is not what a new instance is: it is instantiated anew for all values"
-        warnings.warn(f"{self.name}: {what}", RuntimeWarning, stacklevel=2)
+        self._is_made_anew("reset, it is not what a new instance is")
         return fresh
+
+    def _is_made_anew(self, why: str) -> None:
+        self._resets = False
+        remark(self.name, f"{why}: it is instantiated anew for all values")

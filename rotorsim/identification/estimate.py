@@ -17,6 +17,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.coordinates import ANGLE_UNIT, Coordinates, coordinates_of
 from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.likelihood import Evaluation
+from rotorsim.model.heard import BARRED, barred, gives_up, surviving
 
 TURN = 2 * np.pi
 STARTS = 12  # values over a turn of an angle that enters in several harmonics
@@ -27,6 +28,7 @@ MOST_EVALUATIONS = 60
 SEARCH_METHODS = ("trf", "dogbox")  # the first creeps in curved valleys near a bound: the second goes on from there
 PASSES = 3  # of both, where neither has converged
 GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
+RANK = 1e-9  # of the largest singular value: below, a step says nothing
 ZERO_DERIVATIVE = 1e-11  # of the largest derivative: rounding
 SINGULAR_INFORMATION = (
     1e-13  # smallest eigenvalue of the information, each parameter's own being one: below, it is rounding
@@ -259,13 +261,16 @@ class Search:
     def minimise(self, q: np.ndarray, held: tuple[int, ...] = (), *, most: int = MOST_EVALUATIONS) -> np.ndarray:
         """Return q of least residual from a start, within bounds, some entries held, after ``most`` evaluations.
 
-        From MOST_EVALUATIONS on, methods follow one another with as many each, as long as a pass of them gains.
+        From MOST_EVALUATIONS on, methods follow one another with as many each, as long as a pass of them gains. Where a
+        part whose equations are elsewhere fails at a trial, a shorter step is tried. Raises RotorsimError where it
+        fails at the start, or the search would go on beyond where it fails.
         """
         low, high = self.coordinates.bounds
         if not np.isfinite(self.residual(q)).all():
             hint = "start from other values, or leave out the runs nearest to the limit of stability"
             raise RotorsimError(Problem("no settled motion is found at the start", "identify", hint=hint))
-        size = np.linalg.norm(self.jacobian(q), axis=0)
+        failed: list[RotorsimError] = []
+        rows, size = len(self.residual(q)), np.linalg.norm(self.jacobian(q), axis=0)
         idle = size <= ZERO_DERIVATIVE * size.max(initial=0.0)  # nothing depends on it: it stays where it is
         moving = [j for j in range(len(q)) if j not in held and not idle[j]]
         if not moving:
@@ -276,13 +281,22 @@ class Search:
             whole[moving] = part
             return whole
 
+        def tried(part: np.ndarray) -> np.ndarray:
+            try:
+                return self.residual(full(part))
+            except RotorsimError as error:
+                if gives_up(error):
+                    raise
+                failed.append(error)
+                return np.full(rows, np.inf)
+
         width = np.where(np.isfinite(high - low), high - low, 1.0)
         inside = np.clip(q, low + 1e-9 * width, high - 1e-9 * width)
         part, least = inside[moving], np.inf
         passes = PASSES * SEARCH_METHODS if most >= MOST_EVALUATIONS else SEARCH_METHODS[:1]
         for k, method in enumerate(passes):
             found = least_squares(
-                lambda q: self.residual(full(q)),
+                tried,
                 part,
                 lambda q: self.jacobian(full(q))[:, moving],
                 bounds=(low[moving], high[moving]),
@@ -298,7 +312,18 @@ class Search:
             if found.status > 0 or (over and found.cost > (1 - GAIN) * least):
                 break
             least = found.cost if over else least
-        return full(part)
+        q = full(part)
+        if failed:
+            inner = found.active_mask == 0
+            r, J = self.residual(q), self.jacobian(q)[:, moving][:, inner]
+            step = np.linalg.lstsq(J, -r, rcond=RANK)[0]
+            beyond, before = part.copy(), len(failed)
+            beyond[inner] += step
+            left = r + J @ step
+            tried(np.clip(beyond, low[moving], high[moving]))
+            if r @ r - left @ left > BARRED and len(failed) > before:
+                raise barred(failed[-1])
+        return q
 
 
 def estimate(search: Search, start: np.ndarray | None = None, *, tries: int = 3) -> Estimate:
@@ -306,8 +331,7 @@ def estimate(search: Search, start: np.ndarray | None = None, *, tries: int = 3)
     starts = search.starts()[:tries] if start is None else [search.coordinates.inside(start)]
     best: np.ndarray | None = None
     least = np.inf
-    for q in starts:
-        found = search.minimise(q)
+    for found in surviving(search.minimise, starts):
         cost = float(search.residual(found) @ search.residual(found)) * search.preference(found)
         if cost < least * (1 - 1e-9):
             best, least = found, cost

@@ -26,6 +26,7 @@ from rotorsim.identification.waveform.along_angle import is_in_time
 from rotorsim.jobs.threads import one_thread
 from rotorsim.linear.linearisation import refuse_sampled
 from rotorsim.measure.checks import check_signals
+from rotorsim.model.heard import said
 from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.signals.converters import before_converters, stated_steps, through_converters
@@ -54,6 +55,7 @@ class HarmonicIdentification(Identification):
         return {"excess_variance": self.excess, "goodness": self.goodness}
 
 
+@said
 def identify(
     diagram: Diagram,
     recording: Recording | OrderRecording,

@@ -109,7 +109,7 @@ def identify_orders(
             what = "what was measured depends on none of the free parameters"
             raise RotorsimError(Problem(what, diagram.name, Place(diagram.file), "measure a signal behind them"))
         refuse_fast(search, search.first())
-        evaluation = search.minimise(search.first())
+        evaluation = search.minimise(search.first()).reached()
         refuse_diverged(diagram, evaluation)
         variance, search, evaluation = order_judged(search, evaluation, variance)
         estimate = order_estimate(search, evaluation, variance)

@@ -184,7 +184,7 @@ def _estimated(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun],
     _refuse_unseen(search, diagram)
     start = search.first(noise.starts)
     start[: search.m] = noise.theta
-    found = search.minimise(start)
+    found = search.minimise(start).reached()
     if search.limited and not clock_ports(diagram):
         found = search.by_differences(found)
     return time_estimate(search, found, noise)

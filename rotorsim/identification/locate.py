@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -17,6 +17,7 @@ from rotorsim.identification.estimate import Estimate, Search, estimate
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.jobs.threads import one_thread
+from rotorsim.model.heard import Heard, hearing
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonics import harmonics_of
@@ -42,6 +43,19 @@ class Location:
         return {item.name: float(v) for item, v in zip(self.estimate.free, self.estimate.theta, strict=True)}
 
 
+class Locations(list[Location]):
+    """The places that were fitted, the most probable first.
+
+    failed: nodes of those that could not be, and why. warnings: what went wrong without ending a fit.
+    """
+
+    def __init__(
+        self, found: Iterable[Location], failed: Mapping[tuple[int, ...], str], warnings: list[Problem]
+    ) -> None:
+        super().__init__(found)
+        self.failed, self.warnings = dict(failed), warnings
+
+
 def locate(
     diagram: Diagram,
     recording: Recording,
@@ -50,7 +64,7 @@ def locate(
     count: int = 1,
     given: Sequence[str] = (),
     trust_blocks: bool = False,
-) -> list[Location]:
+) -> Locations:
     """Return the places at which a block explains a recording, the most probable first.
 
     block: its force enters one node of an additive input (``["crack.force", "rotor.force[4]"]``); it is tried at
@@ -58,7 +72,8 @@ def locate(
     "crack2.phase") and tries every pair of nodes. A crack's sag stays that of the diagram: what is identified is the
     product of additive stiffness and sag at the place.
 
-    Raises RotorsimError for a block that does not act at one node, and what `identify` raises.
+    A place at which a part whose equations are elsewhere fails is left out, and told. Raises RotorsimError for a block
+    that does not act at one node, and what `identify` raises, where no place can be fitted.
     """
     if count not in (1, 2):
         raise RotorsimError(Problem(f"count must be 1 or 2, not {count}", "locate"))
@@ -67,12 +82,23 @@ def locate(
     document = dict(diagram.document)
     harmonics = harmonics_of(recording, recording.select("identify"))
     tried: list[tuple[tuple[int, ...], Estimate, Mapping[str, Any]]] = []
+    failed: dict[tuple[int, ...], RotorsimError] = {}
+    every = Heard()
     with one_thread():
         for places in combinations(nodes, count):
             moved = _placed(document, diagram, block, wires, places)
             model = load(moved, folder=diagram.folder, trust_blocks=trust_blocks)
             experiment = open_experiment(model, recording, given=given, harmonics=harmonics)
-            tried.append((places, estimate(Search(Likelihood(experiment)), tries=1), moved))
+            with hearing() as heard:
+                try:
+                    tried.append((places, estimate(Search(Likelihood(experiment)), tries=1), moved))
+                except RotorsimError as error:
+                    if not heard.mishaps:
+                        raise
+                    failed[places] = error
+            every.add(heard.mishaps)
+    if not tried and failed:
+        raise next(iter(failed.values()))
     best = min(item.misfit for _, item, _ in tried)
     scale = max(1.0, best / max(tried[0][1].freedom, 1))
     weights = np.exp(-0.5 * (np.array([item.misfit for _, item, _ in tried]) - best) / scale)
@@ -80,7 +106,8 @@ def locate(
         Location(places, item.misfit, float(weight / weights.sum()), item, moved)
         for (places, item, moved), weight in zip(tried, weights, strict=True)
     ]
-    return sorted(found, key=lambda location: location.misfit)
+    why = {places: str(error.problems[0]) for places, error in failed.items()}
+    return Locations(sorted(found, key=lambda location: location.misfit), why, every.problems())
 
 
 def _wires(diagram: Diagram, block: str) -> list[Wire]:

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import norm
 
+from rotorsim.errors import RotorsimError
 from rotorsim.identification.estimate import Estimate, Search
+from rotorsim.model.heard import gives_up, remark
 
 Z90 = float(norm.ppf(0.95))  # half width of a central 90 % interval, in standard deviations
 PARABOLA_TOLERANCE = 0.02  # the profile agrees so well with a parabola that its end points are those of the parabola
@@ -107,7 +109,13 @@ def _end(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, step: flo
     for _ in range(PROFILE_STEPS):
         value = float(np.clip(theta[j] + share * step, low, high))
         reached = (value - theta[j]) / step
-        root = np.sqrt(max(_profile(search, theta, ridge, j, value) - least, 0.0) / rise)
+        try:
+            root = np.sqrt(max(_profile(search, theta, ridge, j, value) - least, 0.0) / rise)
+        except RotorsimError as error:
+            if gives_up(error):
+                raise
+            remark(search.free[j].name, "its 90 % interval is that of linear theory: trials fail on the way to its end")
+            return float(np.clip(theta[j] + step * np.sqrt(rise) / Z90, low, high))
         known.append((reached, root))
         if abs(root - 1) < PARABOLA_TOLERANCE or (reached < share and root < 1):  # there, or at the bound
             return float(theta[j] + reached * step / root) if abs(root - 1) < PARABOLA_TOLERANCE else value

@@ -276,7 +276,7 @@ def phi_functions(M: Tangent, most: float = np.inf) -> Phi:
     M is balanced first, since states have units of any size. NaN where so many doublings are not enough.
     """
     n = M.value.shape[-1]
-    size = np.abs(M.value).reshape(-1, n, n).max(axis=0, initial=0.0)
+    size = np.abs(M.value).max(axis=tuple(range(M.value.ndim - 2)), initial=0.0)
     scale = matrix_balance(size, permute=False, separate=True)[1][0] if n and np.isfinite(size).all() else np.ones(n)
     unscaled = scale[:, None] / scale
     M = M.times(1 / unscaled)

@@ -13,6 +13,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rotorsim.model.heard import tell
+
 STEADY = "steady"  # in the name of functions of parameters alone: what they gave last holds for the same arguments
 Address = ctypes.c_void_p
 CALLED = ctypes.CFUNCTYPE(None, Address, ctypes.POINTER(ctypes.c_double), ctypes.POINTER(ctypes.c_double))
@@ -97,6 +99,7 @@ def raise_failure() -> None:
     if _failures:
         first = _failures[0]
         _failures.clear()
+        tell(first)
         raise first
 
 

@@ -20,7 +20,9 @@ from rotorsim.model.instance import Instance
 from rotorsim.model.mode import ModeOf, modes_of
 from rotorsim.simulation.event_steps import ACCUMULATE, EventSteps, rounding
 
-AT_ONCE = 64, 65536  # steps at once: first, and at most; what an event is in is computed again from the last start
+# Steps at once, first and at most; what an event is in is computed again from the last start. A piece costs 8 us beside
+# its steps, of 1.5 us each in a small diagram: 64 lose less than a tenth. At most half a megabyte of a signal is lost.
+AT_ONCE = 64, 65536
 MOST_ITERATIONS = 100  # of one event, until no part changes the inputs of another
 
 

@@ -33,6 +33,10 @@ FAULTS = (
     "terminate",
     "child",
     "below",
+    "flood",
+    "leave_well",
+    "bad_reset",
+    "no_reset",
 )
 SOURCES = Path(__file__).parent / "c"
 _FLAGS = 'canGetAndSetFMU{s}="true" canSerializeFMU{s}="true" canBeInstantiatedOnlyOncePerProcess="{once}"'

@@ -208,3 +208,9 @@ def test_outputs_are_those_of_the_recursion_written_out(varying, use_compiler, m
         j = k if varying else 0
         np.testing.assert_allclose(found[k], H[j] @ x + D[j] @ d[k], rtol=1e-12, atol=1e-12)
         x = F[j] @ x + G[j] @ d[k]
+
+
+def test_a_part_without_states_is_held_too():
+    """Its outputs follow the inputs alone: no matrix exponential is asked for, and none is refused."""
+    phi = phi_functions(Tangent(np.zeros((3, 0, 0)), np.zeros((2, 3, 0, 0))))
+    assert phi.exp.value.shape == (3, 0, 0)

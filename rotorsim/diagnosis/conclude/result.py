@@ -168,3 +168,17 @@ def estimates(fit: Fit) -> dict[str, Estimated]:
 def interval(value: float, std: float) -> tuple[float, float]:
     """Return the 90 % interval of an estimate."""
     return value - Z90 * std, value + Z90 * std
+
+
+def untried_of(selection: Selection) -> dict[str, str]:
+    """Return the hypotheses, in words, that a part that failed has kept from being fitted, and what it did."""
+    stopped: dict[str, str] = {}
+    for n, found in enumerate(selection.rounds):
+        names = [item.insertion.physics for item in selection.chosen[:n]]
+        beside = f" beside {' and '.join(names)}" if names else ""
+        fitted = {(item.insertion.physics, item.insertion.spot) for item in found.tried if not item.fit.stopped}
+        for one in (item.insertion for item in found.tried):
+            if (one.physics, one.spot) not in fitted:
+                why = next(item.fit.failure for item in found.tried if item.insertion is one)
+                stopped.setdefault(f"{one.physics} at {one.spot.words}{beside}", why)
+    return stopped

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Spot
-from rotorsim.diagnosis.conclude.result import Effect
+from rotorsim.diagnosis.conclude.result import Effect, untried_of
 from rotorsim.diagnosis.conclude.unknown_force import UnknownForce, unknown_force
 from rotorsim.diagnosis.evidence.evidence import Evidence, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_noise
@@ -209,15 +209,19 @@ def rejected_of(selection: Selection, effects: Sequence[Effect], terms: Terms) -
     best = _as_tried(effects[0].candidate if first is None else first, selection.first).fit
     out: dict[str, str] = {}
     for item in selection.first.tried:
-        if item.insertion.physics not in passed and len(out) < REJECTED:
+        if not item.fit.stopped and item.insertion.physics not in passed and len(out) < REJECTED:
             out.setdefault(item.insertion.physics, _why(item, best, terms))
     return tuple(out.items())
 
 
 def unfinished(selection: Selection, effects: Sequence[Effect], terms: Terms) -> tuple[tuple[str, str], ...]:
-    """Return what was tried beside the first effect's like, but not fitted to the end, and how far it came."""
+    """Return what was tried beside the first effect's like, but not fitted to the end, and how far it came.
+
+    Without effects only what was stopped by a part that failed.
+    """
+    stopped = [(name, f"could not be fitted: {why}") for name, why in untried_of(selection).items()]
     if not effects:
-        return ()
+        return tuple(stopped)
     members = {name for effect in effects for name in effect.members}
     best: dict[str, Candidate] = {}
     for item in sorted(selection.first.tried, key=lambda item: item.fit.misfit):
@@ -225,7 +229,7 @@ def unfinished(selection: Selection, effects: Sequence[Effect], terms: Terms) ->
             best.setdefault(item.insertion.physics, item)
     text = "was not fitted to the end; so far its residual variance is {:.3g} times {}"
     open_ones = ((name, item.fit.excess_variance) for name, item in best.items() if not item.final)
-    return tuple((name, text.format(ratio, terms.noise)) for name, ratio in open_ones)
+    return (*((name, text.format(ratio, terms.noise)) for name, ratio in open_ones), *stopped)
 
 
 def _why(item: Candidate, best: Fit, terms: Terms) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, estimates
+from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, estimates, untried_of
 from rotorsim.diagnosis.conclude.shares import Explained
 from rotorsim.diagnosis.evidence.fit import is_noise
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, spots_of
@@ -16,6 +16,7 @@ from rotorsim.fault import Fault
 from rotorsim.units import format_quantity
 
 ELSEWHERE = 0.05  # probability of another place, from which an experiment is looked for that tells it apart
+UNTRIED = 5  # hypotheses that are named
 WHOLE_SHARE = 0.999  # a share from which its digits say nothing
 ONE_SPEED = "at one speed unbalance imitates bow and runout, and force factors imitate stiffness and damping"
 REPEATED = "a run with the inputs and start of another: a law adds the same again, an unmeasured disturbance does not"
@@ -120,7 +121,18 @@ def statement(diagnosis: Diagnosis) -> str:
         parts = _disturbed(diagnosis, signal)
     else:
         parts = _missing(diagnosis)
-    return " ".join(part for part in parts if part)
+    return " ".join(part for part in [*parts, _untried(diagnosis)] if part)
+
+
+def _untried(diagnosis: Diagnosis) -> str:
+    """Return what could not be fitted because a part failed."""
+    stopped = untried_of(diagnosis.selection)
+    if not stopped:
+        return ""
+    names = [*stopped]
+    more = f" and {len(names) - UNTRIED} more" if len(names) > UNTRIED else ""
+    why = next(iter(stopped.values())).partition("\n")[0]
+    return f"Not fitted, so that nothing is said of it: {', '.join(names[:UNTRIED])}{more} ({why})."
 
 
 def _name(diagnosis: Diagnosis) -> str:

@@ -13,6 +13,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.profile import Z90
+from rotorsim.model.heard import listener
 
 DEFERRED = "is nonlinear, and not fitted yet"
 
@@ -24,8 +25,17 @@ FAILURES = (RotorsimError, ValueError, np.linalg.LinAlgError)  # of a diagram th
 
 
 def reason_of(error: Exception) -> str:
-    """Return in words why a diagram cannot be compared with data."""
-    return error.problems[0].what if isinstance(error, RotorsimError) else str(error) or type(error).__name__
+    """Return in words why a diagram cannot be compared with data; of a part that fails, with its name."""
+    if not isinstance(error, RotorsimError):
+        return str(error) or type(error).__name__
+    problem = error.problems[0]
+    return f"{problem.subject}: {problem.what}" if _of_part(error) else problem.what
+
+
+def _of_part(error: Exception) -> bool:
+    """Return whether a part whose equations are elsewhere has failed."""
+    subject = error.problems[0].subject if isinstance(error, RotorsimError) else ""
+    return any(one.kind and one.subject == subject for one in listener().mishaps)
 
 
 def _empty() -> np.ndarray:
@@ -56,7 +66,8 @@ class Fit:
 
     free, theta (m,), covariance (m, m), at_bound (m,). misfit: |r|^2 of the whitened residual; equations: real ones, of
     which rows remain after nuisance parameters. run_misfit, left_out (R,): |r|^2 of each run, and when it is predicted
-    from the others. goodness: probability of a larger misfit. failure: why there is no fit. nonlinear: in its states.
+    from the others. goodness: probability of a larger misfit. failure: why there is no fit; stopped: a part whose
+    equations are elsewhere failed, or the process, which says nothing of the diagram. nonlinear: in its states.
     seconds: CPU time. standing: nuisance parameters of the diagram as given (default: all of this one). line_misfit,
     line_rows: |r|^2 and equations of the asynchronous lines. ends (m, 2): 90 % intervals within the bounds. alone (m,):
     standard deviations with all other parameters of the same block known.
@@ -74,6 +85,7 @@ class Fit:
     left_out: np.ndarray = field(default_factory=_empty)
     goodness: float = 0.0
     failure: str = ""
+    stopped: bool = False
     nonlinear: bool = False
     seconds: float = 0.0
     standing: int | None = None
@@ -131,6 +143,11 @@ class Fit:
     def values(self) -> dict[str, float]:
         """The parameters by name, SI."""
         return {item.name: float(v) for item, v in zip(self.free, self.theta, strict=True)}
+
+
+def failed_fit(document: Mapping[str, Any], error: Exception, **more: Any) -> Fit:
+    """Return the fit of a diagram that cannot be compared with data."""
+    return Fit(document, failure=reason_of(error), stopped=_of_part(error), **more)
 
 
 def is_adequate(fit: Fit) -> bool:

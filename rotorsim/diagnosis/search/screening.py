@@ -62,8 +62,8 @@ class Screening:
         """Return what laws promise by their sensitivities, beside what the diagram without them does."""
         [beside, *promises] = self.work.promises([(values_in(before.document, before.values), [[{}]]), *jobs])
         least = HINT * len(before.free) if is_adequate(before) else 0.0  # below, it is noise
-        gains = (beside - promise if beside - promise > least else 0.0 for promise in promises)
-        return [Promise(before.misfit - gain) for gain in gains]
+        known = [None if np.isnan(promise) else max(beside - promise, 0.0) for promise in promises]
+        return [None if one is None else Promise(before.misfit - (one if one > least else 0.0)) for one in known]
 
     def _at_likely_places(
         self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[Job], places: Bounds | None
@@ -96,7 +96,10 @@ class Screening:
         return kept
 
     def _promising(self, candidates: Sequence[Insertion], jobs: Sequence[Job], most: float = np.inf) -> list[int]:
-        """Return the best place of each law, and the next best below ``most``, by what one step promises."""
+        """Return the best place of each law, and the next best below ``most``, by what one step promises.
+
+        Where that is not known of any place of a law (NaN), one is fitted all the same: what fails there is said.
+        """
         promises = np.array(self.work.promises(jobs))
         order = np.argsort(promises, kind="stable")
         seen: set[Law] = set()
@@ -104,7 +107,7 @@ class Screening:
         second: list[int] = []
         for k in order.tolist():
             law = candidates[k].law
-            if not np.isfinite(promises[k]):
+            if np.isinf(promises[k]):
                 continue
             if law not in seen:
                 first.append(k)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,13 @@ from rotorsim.diagnosis.evidence.fit import Effort, Fit, fit_from_plain, fit_to_
 from rotorsim.diagnosis.search.candidates import Job
 from rotorsim.diagram.resolve.registry import is_built_in
 from rotorsim.jobs.jobs import Failure, Jobs, run_jobs
+from rotorsim.jobs.tasks import KILLED
 from rotorsim.jobs.threads import one_thread
+from rotorsim.model.heard import Heard, Mishap, hearing, listener
 
+DIED = KILLED["failure"]["type"]
 BATCHES = 4  # of jobs, for every process
+Answer = dict[str, Any]  # of a batch: what was found, and the mishaps on the way
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +44,7 @@ class Work:
             min(batches, key=len).extend(which)
         arguments = [([candidates[k] for k in batch], places) for batch in (*batches, here)]
         given = [*run_jobs(_promised_batch, arguments[:-1], jobs=self.jobs), _promised_batch(arguments[-1])]
+        given = [_heard_of(answer) for answer in given]
         found: list[Promise | None] = [None] * len(candidates)
         for batch, promises in zip((*batches, here), given, strict=True):
             for k, one in zip(batch, promises, strict=True):
@@ -47,45 +52,76 @@ class Work:
         return found
 
     def promises(self, jobs: Sequence[Job]) -> list[float]:
-        """Return what documents with a law promise, infinite where a batch is lost."""
-        return [np.inf if isinstance(item, Failure) else item for item in self._spread(_promise_batch, jobs, ())]
+        """Return what documents with a law promise, NaN where that is not known: a part failed, or the process."""
+        found = self._spread(_promise_batch, jobs, ())
+        return [(np.nan if item.type == DIED else np.inf) if isinstance(item, Failure) else item for item in found]
 
     def fits(self, jobs: Sequence[Job], effort: Effort) -> list[Fit]:
         """Return the fits of documents; of a batch that is lost, its failure."""
         fits = self._spread(_fit_batch, jobs, (effort,))
         return [
-            Fit(document, failure=plain.text) if isinstance(plain, Failure) else fit_from_plain(document, plain)
+            Fit(document, failure=plain.text, stopped=plain.type == DIED)
+            if isinstance(plain, Failure)
+            else fit_from_plain(document, plain)
             for (document, _), plain in zip(jobs, fits, strict=True)
         ]
 
-    def _spread(self, function: Callable[[Any], list[Any]], jobs: Sequence[Job], options: tuple[Any, ...]) -> list[Any]:
+    def _spread(self, function: Callable[[Any], Answer], jobs: Sequence[Job], options: tuple[Any, ...]) -> list[Any]:
         """Return what a function gives for every job, in batches over all workers; `Failure` where a batch is lost."""
         if not jobs:
             return []
         count = min(len(jobs), BATCHES * (self.jobs.workers or 2))
-        batches = [list(jobs[k::count]) for k in range(count)]
-        results = run_jobs(
-            function, [(batch, self.evidence, *options) for batch in batches], jobs=self.jobs, on_error="return"
-        )
         out: list[Any] = [None] * len(jobs)
-        for k, result in enumerate(results):
-            out[k::count] = [result] * len(batches[k]) if isinstance(result, Failure) else result
+        batches = [range(k, len(jobs), count) for k in range(count)]
+        while batches:  # those that ended their process are done once more, one by one: only the one that did is lost
+            arguments = [([jobs[k] for k in batch], self.evidence, *options) for batch in batches]
+            results = run_jobs(function, arguments, jobs=self.jobs, on_error="return")
+            again: list[range] = []
+            for batch, result in zip(batches, results, strict=True):
+                if isinstance(result, Failure) and result.type == DIED and len(batch) > 1:
+                    again += [range(k, k + 1) for k in batch]
+                    continue
+                found = [result] * len(batch) if isinstance(result, Failure) else _heard_of(result)
+                for k, one in zip(batch, found, strict=True):
+                    out[k] = one
+            batches = again
         return out
 
 
-def _promise_batch(argument: tuple[list[Job], Evidence]) -> list[float]:
+def _heard_of(answer: Answer) -> list[Any]:
+    """Return what a batch has found, once who listens here has heard what went wrong there."""
+    listener().add(Mishap(**one) for one in answer["mishaps"])
+    return list(answer["found"])
+
+
+def _each(function: Callable[[Any], Any], items: Iterable[Any]) -> Answer:
+    """Return what a function gives for every item, and what went wrong meanwhile, each item being a fit of its own."""
+    every, found = Heard(), []
+    with one_thread():
+        for item in items:
+            with hearing() as heard:
+                found.append(function(item))
+            every.add(heard.mishaps)
+    return {"found": found, "mishaps": [asdict(one) for one in every.mishaps]}
+
+
+def _promise_batch(argument: tuple[list[Job], Evidence]) -> Answer:
     batch, evidence = argument
-    with one_thread():
-        return [evidence.promise(document, starts) for document, starts in batch]
+
+    def promise(job: Job) -> float:
+        found = evidence.promise(job[0], job[1])
+        return np.nan if found == np.inf and any(one.kind for one in listener().mishaps) else found
+
+    return _each(promise, batch)
 
 
-def _promised_batch(argument: tuple[list[Insertion], Bounds]) -> list[tuple[float, dict[str, float]] | None]:
+def _promised_batch(argument: tuple[list[Insertion], Bounds]) -> Answer:
     items, places = argument
-    with one_thread():
-        return [None if one is None else (one.misfit, dict(one.start)) for one in places.promises(items)]
+    answer = _each(places.promises, [items])
+    promised = (None if one is None else (one.misfit, dict(one.start)) for one in answer["found"][0])
+    return {**answer, "found": [*promised]}
 
 
-def _fit_batch(argument: tuple[list[Job], Evidence, Effort]) -> list[dict[str, Any]]:
+def _fit_batch(argument: tuple[list[Job], Evidence, Effort]) -> Answer:
     batch, evidence, effort = argument
-    with one_thread():
-        return [fit_to_plain(evidence.fit(document, starts, effort)) for document, starts in batch]
+    return _each(lambda job: fit_to_plain(evidence.fit(job[0], job[1], effort)), batch)

@@ -43,7 +43,6 @@ class Instance:
         self.output_names: tuple[str, ...] = ()
         self.n_states, self.n_events = len(self.description.states), self.description.n_events
         self.ended = False
-        self._heard = 0  # messages taken
         self._phase = "new"
         self._handles = 0  # of saved states, given so far
         self._saved: list[int] = []
@@ -252,16 +251,10 @@ class Instance:
 
     def _forward_log(self) -> None:
         """Hand new messages over to the user's function."""
-        lines, counts = self.messages()
-        self._tell(lines)
-        lost = sum(counts.values()) - self._heard
-        if self.log and lost > 0:
-            self._heard += lost
-            self.log("Warning", "rotorsim", f"{lost} more messages came at once and are lost")
+        self._tell(self.messages()[0])
 
     def _tell(self, lines: Sequence[tuple[str, ...]]) -> None:
         """Hand messages (status, category, text) that were taken over to the user's function."""
-        self._heard += len(lines)
         for line in lines if self.log else ():
             self.log(*line)  # type: ignore[misc]
 

@@ -26,6 +26,7 @@ from rotorsim.fmi.description.model import ModelDescription
 from rotorsim.fmi.description.platforms import find_library, platforms_inside
 from rotorsim.fmi.description.reader import read_description
 from rotorsim.fmi.runtime.exchange import EventUpdate, Slave
+from rotorsim.fmi.runtime.guard import guard_exit
 from rotorsim.fmi.runtime.instance import Log
 from rotorsim.fmi.runtime.memory import Sizes
 from rotorsim.fmi.runtime.process import LocalWorker, RemoteWorker
@@ -154,6 +155,8 @@ class Fmu(AbstractContextManager["Fmu"]):
             description.n_events,
             _INPUT_ORDER if description.kinds[kind].can_interpolate_inputs else 0,
         )
+        if self.in_process:
+            guard_exit(str(self.path))
         worker = (
             LocalWorker(sizes) if self.in_process else RemoteWorker(sizes, folder, library, self.timeout, self.memory)
         )

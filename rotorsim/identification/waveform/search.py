@@ -19,6 +19,7 @@ from rotorsim.diagram.diagram import Free
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.driven.simulation import Simulation
+from rotorsim.model.heard import BARRED, barred, gives_up
 
 MOST_SIMULATIONS = 60  # what data determine takes up to 25
 REFIT_EVALUATIONS = 15  # of a fit that starts where a similar one ended
@@ -47,7 +48,7 @@ class Evaluation:
     between samples. cost: weighted sum of squares with priors. residuals: of each subsystem and run (N, c), measured
     less simulated, not weighted, NaN where nothing was measured. gradient, information: J^T r and J^T J of all
     unknowns. jacobians: of each subsystem and run (N, c, m + n) by parameters and its start, not weighted; (N, c, 0)
-    without sensitivities.
+    without sensitivities. barred: what failed at a trial; at the end of a search: beyond where it would go on.
     """
 
     unknowns: np.ndarray
@@ -57,6 +58,13 @@ class Evaluation:
     jacobians: Sequence[Sequence[np.ndarray]] = ()
     gradient: np.ndarray = field(default_factory=lambda: np.zeros(0))
     information: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    barred: RotorsimError | None = None
+
+    def reached(self) -> Evaluation:
+        """Return it as the end of a fit. Raises RotorsimError where the search would go on, but trials fail there."""
+        if self.barred is not None:
+            raise barred(self.barred)
+        return self
 
 
 def solved(H: np.ndarray, b: np.ndarray, rcond: float = 1e-12) -> np.ndarray:
@@ -318,6 +326,7 @@ class OutputErrorSearch:
         here = self.evaluate(start, self.substeps(start))
         damping, calm, used = FIRST_DAMPING, 0, 1
         known = np.zeros(len(start))  # information on starts, the most so far: where none is left they stay
+        failed = False
         while np.isfinite(here.cost) and used < most and calm < 2:
             known[self.m :] = np.maximum(known, np.diag(here.information))[self.m :]
             step = self._step(here, damping, known)
@@ -325,22 +334,38 @@ class OutputErrorSearch:
             if not after.cost < here.cost and (weak := self._weak(here)).any():
                 step = self._step(here, damping, known, weak)
                 after = self._tried(self._moved(here.unknowns, step), here.sub)
-            if after.cost < here.cost:
+            there = self._tried(after.unknowns, here.sub, True) if after.cost < here.cost else after
+            if after.cost < here.cost and there.barred is None:
                 calm = calm + 1 if after.cost > here.cost * (1 - SEARCH_COST_TOLERANCE) else 0
-                here = self.evaluate(after.unknowns, here.sub)
+                here = there
                 damping = max(damping / 10, LEAST_DAMPING)
             else:
+                failed |= there.barred is not None
                 damping *= 10
                 calm += damping > MOST_DAMPING or not step.any()
             used += 1
-        return here
+        return self._ended(here, known) if failed else here
 
-    def _tried(self, unknowns: np.ndarray, sub: int) -> Evaluation:
-        """Return the evaluation of a trial; of infinite cost, too, where a part whose equations are elsewhere fails."""
+    def _ended(self, here: Evaluation, known: np.ndarray) -> Evaluation:
+        """Return the end of a search in which trials failed: barred where the next step gains, but fails, too."""
+        if not np.isfinite(here.cost):
+            return here
+        step = self._step(here, FIRST_DAMPING, known)
+        gain = -float(2 * here.gradient @ step + step @ here.information @ step)
+        beyond = self._tried(self._moved(here.unknowns, step), here.sub) if gain > BARRED else here
+        return replace(here, barred=beyond.barred)
+
+    def _tried(self, unknowns: np.ndarray, sub: int, sensitivities: bool = False) -> Evaluation:
+        """Return the evaluation of a trial; of infinite cost, too, where a part whose equations are elsewhere fails.
+
+        Raises RotorsimError where that part is not asked any more.
+        """
         try:
-            return self.evaluate(unknowns, sub, sensitivities=False)
-        except RotorsimError:
-            return Evaluation(unknowns, sub)
+            return self.evaluate(unknowns, sub, sensitivities)
+        except RotorsimError as error:
+            if gives_up(error):
+                raise
+            return Evaluation(unknowns, sub, barred=error)
 
     def _weak(self, here: Evaluation) -> np.ndarray:
         """Return which unknowns are states at first samples that hardly show, (q,): any step there is one too far.

@@ -11,11 +11,11 @@
 #include <unistd.h>
 
 enum { OK, SEGV, HANG, FAIL, NOT_A_NUMBER, DISCARD, HUNGRY, LEAVE, ABORT, PRINT, FATAL, BAD_FREE, TERMINATE, CHILD,
-       BELOW };
+       BELOW, FLOOD, LEAVE_WELL, BAD_RESET, NO_RESET };
 
 typedef struct {
     double t, x[N], v[N], u[N], stiffness, damping, gain, wall, tick, fault_time, fault_above, next;
-    int fault, count, enabled, initialised;
+    int fault, count, enabled, initialised, flooded, resets;
     char label[64];
     void *logger, *environment;
     const char *name;
@@ -32,9 +32,10 @@ static void begin(Plant *p) {
 }
 
 static void slope(const Plant *p, const double *x, const double *v, double *dx, double *dv) {
+    const double stiffness = p->fault == BAD_RESET && p->resets ? 1.1 * p->stiffness : p->stiffness;
     for (int k = 0; k < N; k++) {
         dx[k] = v[k];
-        dv[k] = (p->enabled ? p->u[k] : 0.0) - p->stiffness * x[k] - p->damping * v[k];
+        dv[k] = (p->enabled ? p->u[k] : 0.0) - stiffness * x[k] - p->damping * v[k];
     }
 }
 
@@ -56,6 +57,8 @@ static void advance(Plant *p, double h) {
     p->t += h;
 }
 
+static void chatter(Plant *p, int k); /* a message for the log */
+
 /* Do what is wrong; return the status: 0 fine, 2 discard, 3 error, 4 fatal, -1: none that there is. */
 static int misbehave(Plant *p, double t) {
     static char *volatile nowhere = 0;
@@ -74,6 +77,11 @@ static int misbehave(Plant *p, double t) {
         case LEAVE: exit(3);
         case ABORT: fprintf(stderr, "assertion failed: the plant is tired\n"); abort();
         case PRINT: for (int k = 0; k < 20000; k++) printf("line %d of what nobody wants to read\n", k); break;
+        case FLOOD:
+            for (int k = 0; k < 100000 && !p->flooded; k++) chatter(p, k), printf("flood %d\n", k);
+            p->flooded = 1;
+            break;
+        case LEAVE_WELL: exit(0);
         case FATAL: return 4;
         case BELOW: return -1;
         case CHILD: if (fork() == 0) for (;;) sleep(1); break;

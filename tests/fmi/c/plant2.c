@@ -8,6 +8,7 @@ static void say(Plant *p, fmi2Status status, const char *category, const char *t
     const fmi2CallbackFunctions *f = p->logger;
     if (f && f->logger) f->logger(f->componentEnvironment, p->name, status, category, text, a, b, s);
 }
+static void chatter(Plant *p, int k) { say(p, fmi2OK, "logAll", "t = %g: flood %d%s", p->t, k, ""); }
 static double *number(Plant *p, unsigned r) {
     switch (r) {
         case 0: return &p->t;
@@ -51,7 +52,12 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean d, fmi2Real e, fmi2R
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) { tick(P); return fmi2OK; }
 fmi2Status fmi2Terminate(fmi2Component c) { return P->fault == TERMINATE ? fmi2Error : fmi2OK; }
-fmi2Status fmi2Reset(fmi2Component c) { begin(P); return fmi2OK; }
+fmi2Status fmi2Reset(fmi2Component c) {
+    if (P->fault == NO_RESET) return fmi2Error;
+    begin(P);
+    P->resets++;
+    return fmi2OK;
+}
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real value[]) {
     double dx[N], dv[N];
     slope(P, P->x, P->v, dx, dv);

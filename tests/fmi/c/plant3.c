@@ -10,6 +10,11 @@
 static void say(Plant *p, fmi3Status status, const char *text) {
     if (p->logger) ((fmi3LogMessageCallback)p->logger)(p->environment, status, "logStatusError", text);
 }
+static void chatter(Plant *p, int k) {
+    char text[64];
+    snprintf(text, sizeof text, "t = %g: flood %d", p->t, k);
+    if (p->logger) ((fmi3LogMessageCallback)p->logger)(p->environment, fmi3OK, "logAll", text);
+}
 static double *number(Plant *p, unsigned r, size_t *size) {
     *size = 1;
     switch (r) {

@@ -201,7 +201,7 @@ def test_one_instance_only(clean: Path, tmp_path: Path) -> None:
             fmu.instantiate("cs")
         assert caught.value.problems[0].what == "allows one instance in a process, and there is one already"
         first.free()
-        fmu.instantiate("cs")
+        fmu.instantiate("cs").free()  # forgotten, it would be there for ever
     with open_fmu(path) as fmu:
         for slave in [fmu.instantiate("cs"), fmu.instantiate("cs")]:
             slave.setup(outputs=["y"])

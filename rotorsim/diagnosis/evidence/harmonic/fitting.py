@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, Fit, Starts, reason_of
+from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, Fit, Starts, failed_fit
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.estimate import MOST_EVALUATIONS, Estimate, Search, summary
@@ -18,6 +18,7 @@ from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.left_out import RANK_TOLERANCE, left_out
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.profile import linear_intervals
+from rotorsim.model.heard import surviving
 
 START_ANGLES = 8  # values over a turn of a new angle that enters in more than one way
 NONLINEAR_TRIALS = 8  # of a group, of which the best is followed
@@ -57,7 +58,7 @@ def fit_document(
         if nonlinear and most is None and EXPLAINS < best.misfit / max(best.evaluation.rows, 1) < CORNERS:
             best = _sharpened(search, best)
     except FAILURES as error:
-        return Fit(document, failure=reason_of(error), nonlinear=nonlinear, seconds=process_time() - began)
+        return failed_fit(document, error, nonlinear=nonlinear, seconds=process_time() - began)
     seconds = process_time() - began
     return replace(_fit_of(document, search, best), nonlinear=nonlinear, seconds=seconds, standing=runs.standing)
 
@@ -140,16 +141,19 @@ def _best(search: Search, experiment: Experiment, starts: Starts, most: int | No
         trials = _different([t for start in group for t in _trials(search, experiment.theta0, start)], search)
         if nonlinear:
             trials = trials[:: max(1, len(trials) // NONLINEAR_TRIALS)]
-        ranked = [ranking.force_step(search.coordinates.inside(theta), []) for theta in trials]
-        ranked = sorted((item for item in ranked if np.isfinite(item[0])), key=lambda item: item[0])
+        steps = surviving(lambda theta: ranking.force_step(search.coordinates.inside(theta), []), trials)
+        ranked = sorted((item for item in steps if np.isfinite(item[0])), key=lambda item: item[0])
         chosen += [q for _, q in ranked[: 1 if nonlinear else 1 + len(group) // LINEAR_FOLLOWED]]
     best: np.ndarray | None = None
     least = np.inf
-    for q in chosen:
-        if not np.isfinite(search.residual(q)).all():
+    limit = MOST_EVALUATIONS if most is None else most if nonlinear else LINEAR_EVALUATIONS * most
+
+    def followed(q: np.ndarray) -> np.ndarray | None:
+        return search.minimise(q, most=limit) if np.isfinite(search.residual(q)).all() else None
+
+    for found in surviving(followed, chosen):
+        if found is None:
             continue
-        limit = MOST_EVALUATIONS if most is None else most if nonlinear else LINEAR_EVALUATIONS * most
-        found = search.minimise(q, most=limit)
         r = search.residual(found)
         cost = float(r @ r) * search.preference(found)
         if cost < least * (1 - 1e-9):

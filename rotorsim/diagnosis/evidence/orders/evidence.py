@@ -16,7 +16,7 @@ from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.change import Change
 from rotorsim.diagnosis.evidence.evidence import HeldScore, Terms
-from rotorsim.diagnosis.evidence.fit import FAILURES, TO_THE_END, Effort, Fit, Starts, reason_of
+from rotorsim.diagnosis.evidence.fit import FAILURES, TO_THE_END, Effort, Fit, Starts, failed_fit, reason_of
 from rotorsim.diagnosis.evidence.orders.fitting import covariance_of, fitted, promised, summary
 from rotorsim.diagnosis.evidence.orders.noise import RowNoise, WhitenedSearch, noise_beside, plain, whitened_search
 from rotorsim.diagnosis.evidence.orders.scoring import held_score, left_out_score, unpredicted
@@ -112,7 +112,7 @@ class OrderEvidence(Validated):
         try:
             fit = fitted(document, self.search(document), self.noise, starts, effort, self.old)
         except FAILURES as error:
-            fit = Fit(document, failure=reason_of(error))
+            fit = failed_fit(document, error)
         return replace(fit, seconds=process_time() - began)
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:

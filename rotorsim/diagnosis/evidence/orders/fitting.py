@@ -19,6 +19,7 @@ from rotorsim.identification.waveform.noise import Stretch, independent_stretche
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES
 from rotorsim.identification.waveform.order_tracking import OrderSearch
 from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation
+from rotorsim.model.heard import surviving
 
 FIRST_STEPS = 4  # from each start, before the best is followed
 FOLLOWED = 3  # starts of a law: those that promise most
@@ -37,7 +38,7 @@ def fitted(
     first = search.first()
     refuse_fast(search, first)
     every = [start for group in starts for start in group] or [{}]
-    begun = [search.minimise(point, FIRST_STEPS) for point in _points(search, first, every, old)]
+    begun = [*surviving(lambda point: search.minimise(point, FIRST_STEPS), _points(search, first, every, old))]
     begun = [one for one in begun if np.isfinite(one.cost)]
     if not begun:
         return Fit(document, failure=SIMULATION_DIVERGES)
@@ -65,7 +66,7 @@ def _points(
 
 def summary(document: Mapping[str, Any], search: OrderSearch, end: Evaluation, noise: Mapping[str, RowNoise]) -> Fit:
     """Return a fit from the end of a search."""
-    if not np.isfinite(end.cost):
+    if not np.isfinite(end.reached().cost):
         return Fit(document, failure=SIMULATION_DIVERGES)
     count, stretches = len(search.free), stretches_of(search)
     residual, J, sizes = stacked(search, end, stretches)

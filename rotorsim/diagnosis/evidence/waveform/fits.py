@@ -27,6 +27,7 @@ from rotorsim.identification.waveform.noise import (
 from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
 from rotorsim.identification.waveform.shooting import is_lost, shot
 from rotorsim.identification.waveform.subsystems import subsystems_of
+from rotorsim.model.heard import surviving
 
 FIRST_STEPS = 4  # from each start, before the best is followed
 SHORT = 8192  # samples of all runs, from their beginning, on which a start is chosen and followed
@@ -224,16 +225,21 @@ class WaveformFits(SampledRuns):
             else:  # one that is known to be near
                 points = [short.stated(first, start) for start in others[:FOLLOWED]]
         else:
-            points = [point for start in group if (point := short.started(first, start, self.old)) is not None]
             measured = short.first()[short.m :]  # states at first samples, where that is better
-            points = [_cheaper(short, point, np.concatenate([point[: short.m], measured])) for point in points]
+
+            def begun(start: Mapping[str, float]) -> np.ndarray | None:
+                point = short.started(first, start, self.old)
+                other = None if point is None else np.concatenate([point[: short.m], measured])
+                return point if point is None or other is None else _cheaper(short, point, other)
+
+            points = [point for point in surviving(begun, group) if point is not None]
         distinct = [*{point.tobytes(): point for point in points}.values()]
-        ends = [short.minimise(point, FIRST_STEPS) for point in distinct]
+        ends = [*surviving(lambda point: short.minimise(point, FIRST_STEPS), distinct)]
         return [evaluation for evaluation in ends if np.isfinite(evaluation.cost)]
 
     def _summary(self, document: Mapping[str, Any], search: OutputErrorSearch, evaluation: Evaluation) -> Fit:
         """Return a fit from the end of a search."""
-        if not np.isfinite(evaluation.cost):
+        if not np.isfinite(evaluation.reached().cost):
             return Fit(document, failure=DIVERGES)
         if search.limited and not self.parts:
             evaluation = search.by_differences(evaluation)

@@ -9,7 +9,7 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
-from rotorsim.diagnosis.evidence.fit import FAILURES, TO_THE_END, Effort, Fit, Starts, reason_of
+from rotorsim.diagnosis.evidence.fit import FAILURES, TO_THE_END, Effort, Fit, Starts, failed_fit
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.model.load import load
@@ -52,7 +52,7 @@ class SampledRuns(ABC):
         try:
             fit = self._fit(document, starts, effort)
         except FAILURES as error:
-            fit = Fit(document, failure=reason_of(error))
+            fit = failed_fit(document, error)
         return replace(fit, seconds=process_time() - began)
 
     @abstractmethod
