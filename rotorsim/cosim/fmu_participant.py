@@ -14,8 +14,8 @@ from rotorsim.cosim.inputs import Held, InputHistory, Polynomial
 from rotorsim.cosim.linear_model import LinearModel
 from rotorsim.cosim.participant import Participant
 from rotorsim.errors import RotorsimError
-from rotorsim.fmi.block import FmuPort
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
+from rotorsim.fmi.ports import FmuPort
 from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.model_exchange import SAVED_STATES, ModelExchange

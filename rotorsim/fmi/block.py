@@ -1,15 +1,8 @@
-"""The block ``fmu``: its ports and parameters are those that the model description of an FMU states.
-
-Variables are grouped by their structured names: ``rotor.force[1]``, ``rotor.force[2]`` are a port of shape 2. A first
-part that all inputs and outputs share ("rotor.") is left out; other dots become underscores.
-"""
+"""The block ``fmu``: its ports and parameters are those that the model description of an FMU states."""
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import prod
 from pathlib import Path
@@ -33,179 +26,23 @@ from rotorsim.block import (
     zeros,
 )
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.fmi.description.model import FLOATS, INTEGERS, NUMERIC, Entry, FmuVariable, ModelDescription
+from rotorsim.fmi.description.model import FLOATS, INTEGERS, ModelDescription
 from rotorsim.fmi.functions import functions_of, held_inputs, moving_inputs
 from rotorsim.fmi.mode import FmuMode
+from rotorsim.fmi.ports import (
+    TAKEN,
+    FmuOption,
+    FmuPort,
+    declared_option,
+    options_of,
+    port_name,
+    ports_of,
+    prefix_of,
+    silent,
+    unit_warnings,
+    value_name,
+)
 from rotorsim.fmi.runtime.slave import TIMEOUT, describe_fmu
-
-_INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
-_TAKEN = ("file", "interface", "in_process", "linear", "timeout")  # options of the block: a value of the FMU gets "_"
-_WORDS: dict[str, type] = {"Boolean": bool, "String": str}  # types whose values are given as such
-
-
-@dataclass(frozen=True)
-class FmuPort:
-    """A port or parameter of an ``fmu`` block: the FMU's own names of its entries, row-major.
-
-    Ports are in SI units, whatever the FMU has: scales (n, 2) are factor and offset of the entries, SI value = factor *
-    value of the FMU + offset. start: SI.
-    """
-
-    name: str
-    shape: Shape
-    unit: str | None
-    entries: tuple[str, ...]
-    start: np.ndarray | None
-    description: str
-    scales: np.ndarray
-    discrete: bool = False
-
-    def to_si(self, values: Any) -> np.ndarray:
-        """Return values (n,) of the FMU in SI units."""
-        return np.asarray(self.scales[:, 0] * np.ravel(values) + self.scales[:, 1])
-
-    def of_fmu(self, values: Any) -> np.ndarray:
-        """Return SI values (n,) in the units of the FMU."""
-        return np.asarray((np.ravel(values) - self.scales[:, 1]) / self.scales[:, 0])
-
-
-@dataclass(frozen=True)
-class FmuOption:
-    """A value of a variable that is no number: true or false, a text, the name of an item, or the size of arrays."""
-
-    name: str
-    variable: FmuVariable
-    default: Any
-    items: Mapping[str, int]
-
-    def of_fmu(self, value: Any) -> Any:
-        """Return a value as the FMU has it."""
-        if self.variable.negated and isinstance(value, bool):
-            return not value
-        return self.items.get(value, value) if isinstance(value, str) else value
-
-
-def ports_of(
-    description: ModelDescription, causalities: Sequence[str], prefix: str, types: Sequence[str] = NUMERIC
-) -> dict[str, FmuPort]:
-    """Return the variables of some causalities grouped to ports: numbers; flags as 0 and 1."""
-    groups: dict[tuple[str, int], list[tuple[tuple[int, ...], Entry]]] = {}
-    usable = [v for v in description.by_causality(*causalities) if v.type in types and not v.clocked]
-    for entry in (entry for variable in usable for entry in description.entries(variable.name)):
-        match = _INDEX.fullmatch(entry.name)
-        index = tuple(map(int, match[2].split(","))) if match else ()
-        groups.setdefault((match[1] if match else entry.name, len(index)), []).append((index, entry))
-    found: dict[str, FmuPort] = {}
-    for (base, _), members in groups.items():
-        port = _port(description, port_name(base, prefix), sorted(members, key=lambda member: member[0]))
-        if port.name in found and "local" not in causalities:  # those inside need no name
-            what = f"two variables would be called '{port.name}'"
-            raise RotorsimError(Problem(what, description.name, description.place))
-        found.setdefault(port.name, port)
-    return found
-
-
-def _port(description: ModelDescription, name: str, members: Sequence[tuple[tuple[int, ...], Entry]]) -> FmuPort:
-    """Return the port of entries, which are given in the order of their indices."""
-    indices, entries = np.array([index for index, _ in members]), [entry for _, entry in members]
-    shape: Shape = tuple(int(n) for n in indices.max(axis=0)) if indices.size else ()
-    if indices.size and (prod(shape) != len(members) or indices.min() != 1):
-        shape = (len(members),)
-    variable = entries[0].variable
-    units = [description.unit_of(entry.variable) for entry in entries]
-    scales = np.array([(unit.factor, unit.offset) if unit else (1.0, 0.0) for unit in units])
-    given = [_as_given(entry.variable, *scale) for entry, scale in zip(entries, scales.tolist(), strict=True)]
-    shown = {unit.si if unit else None for unit in units}
-    port = FmuPort(
-        name,
-        shape,
-        shown.pop() if len(shown) == 1 else None,
-        tuple(entry.name for entry in entries),
-        None,
-        variable.description,
-        np.array(given),
-        variable.variability in ("discrete", "constant", "fixed"),
-    )
-    starts = [entry.start for entry in entries]
-    if not all(isinstance(start, int | float) and math.isfinite(start) for start in starts):
-        return port  # what is not finite cannot be given here: the FMU keeps it
-    return replace(port, start=(scales[:, 0] * np.array(starts, float) + scales[:, 1]).reshape(shape))
-
-
-def _as_given(variable: FmuVariable, factor: float, offset: float) -> tuple[float, float]:
-    """Return factor and offset to SI of what the functions of the FMU have: of a negated alias -v, or not v."""
-    return (-factor, offset + (variable.type == "Boolean")) if variable.negated else (factor, offset)
-
-
-def port_name(base: str, prefix: str) -> str:
-    """Return the name of a port for the base of variables' names."""
-    text = base[len(prefix) :] if prefix and base.startswith(prefix) else base
-    text = re.sub(r"\W", "_", text)
-    return f"_{text}" if text[:1].isdigit() else text
-
-
-def unit_warnings(description: ModelDescription) -> list[Problem]:
-    """Return a warning for every unit of a variable at work that is neither defined nor known, and so fits anything."""
-    names: dict[str, FmuVariable] = {}
-    for v in description.by_causality("input", "output", "parameter"):
-        if v.unit and v.type in FLOATS and description.unit_of(v) is None:
-            names.setdefault(v.unit, v)
-    return [
-        Problem(
-            f"the unit '{unit[:80]}' is neither defined in the FMU nor known: it is taken as it is and fits all",
-            variable.name[:200],
-            variable.place,
-            severity="warning",
-        )
-        for unit, variable in names.items()
-    ]
-
-
-def _silent(description: ModelDescription, outputs: Mapping[str, FmuPort], prefix: str) -> list[Problem]:
-    """Return a warning where nothing of an FMU can be seen."""
-    inside = [] if outputs else [*ports_of(description, ("local",), prefix)]
-    shown = ", ".join(inside[:5]) + (", ..." if len(inside) > 5 else "")
-    what = "it has no outputs, and none of the variables inside is recorded or wired"
-    return [
-        Problem(what, hint=f'"record": ["BLOCK.{first}"]; there are {shown}', severity="warning")
-        for first in inside[:1]
-    ]
-
-
-def prefix_of(description: ModelDescription) -> str:
-    """Return the first part "name." that all inputs and outputs share, or nothing."""
-    names = [v.name for v in description.by_causality("input", "output")]
-    first = {name.partition(".")[0] for name in names if "." in name.partition("[")[0]}
-    return f"{first.pop()}." if len(first) == 1 and all("." in name.partition("[")[0] for name in names) else ""
-
-
-def options_of(description: ModelDescription, prefix: str) -> dict[str, FmuOption]:
-    """Return what is given as text, true or false, or the name of an item, and the sizes of arrays (FMI 3.0)."""
-    found = {}
-    for variable in description.by_causality("parameter", "input", "structuralParameter"):
-        items = description.items.get(variable.declared_type, {}) if variable.type == "Enumeration" else {}
-        sized = variable.causality == "structuralParameter"
-        if variable.start is None or variable.clocked or not (variable.type in _WORDS or items or sized):
-            continue
-        name, start = _value_name(port_name(variable.name, prefix)), variable.start
-        if items and not variable.dimensions:
-            start = next((item for item, value in items.items() if value == start), start)
-        if not variable.dimensions or variable.type in _WORDS:
-            found[name] = FmuOption(name, variable, list(start) if isinstance(start, tuple) else start, items)
-    return found
-
-
-def _value_name(name: str) -> str:
-    return f"{name}_" if name in _TAKEN else name
-
-
-def _option(option: FmuOption) -> Any:
-    """Return the declaration of an option."""
-    kind: Any = _WORDS.get(option.variable.type, int)
-    more: dict[str, Any] = {"low": 0} if option.variable.causality == "structuralParameter" else {}
-    if option.items:
-        kind, more = (str, int), {"choices": (*option.items, *option.items.values())}
-    return Option(option.default, name=option.name, kind=kind, doc=option.variable.description, **more)
 
 
 @lru_cache(maxsize=64)
@@ -227,7 +64,7 @@ def _made(
     options = options_of(description, prefix)
     resized = set(description.sizes)
     parameters = {
-        _value_name(name): port
+        value_name(name): port
         for name, port in ports_of(description, ("parameter",), prefix, (*FLOATS, *INTEGERS)).items()
         if name not in options and (port.start is not None or resized)
     }
@@ -241,7 +78,7 @@ def _made(
         "fmu_path": path,
         "fmu_description": description,
         "fmu_options": options,
-        "fmu_warnings": [*description.warnings, *unit_warnings(description), *_silent(description, outputs, prefix)],
+        "fmu_warnings": [*description.warnings, *unit_warnings(description), *silent(description, outputs, prefix)],
         "fmu_inputs": inputs,
         "fmu_outputs": outputs,
         "fmu_parameters": parameters,
@@ -272,9 +109,9 @@ def _made(
     starts = {
         name: port
         for name, port in inputs.items()
-        if port.start is not None and name not in parameters and name not in options and name not in _TAKEN
+        if port.start is not None and name not in parameters and name not in options and name not in TAKEN
     }
-    body |= {f"_s_{name}": _option(option) for name, option in options.items()}
+    body |= {f"_s_{name}": declared_option(option) for name, option in options.items()}
     for name, port in {**parameters, **starts}.items():
         body[f"_p_{name}"] = Param(
             port.start.tolist() if port.start is not None and port.shape else port.start,

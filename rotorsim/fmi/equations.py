@@ -34,8 +34,6 @@ MOST_PROCESSES = 24  # of one block, those used last
 # search takes two (where it is, and its trial), and searches for two rivals and the diagram as given take turns.
 KEPT_POINTS = 6
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
-PROBED = (1e-6, 1e-3, 1.0)  # of the nominal values of states, and of 1 of inputs: where linear equations are checked
-ROUNDED = 1e-12  # of sums that cancel
 # In a fit: a search begins with a damping of 1e-4, and takes 10 times as much at every trial that fails; at the sixth
 # its step is shorter by a factor of 11, and one that still gets no answer ends the fit, a minute of TIMEOUT later.
 MOST_HANGS = 6
@@ -64,7 +62,7 @@ class FmuEquations:
         self.name, self.description = name, description
         self._u, self._p, y = Values(inputs), Values(parameters), Values(outputs)
         self.instances = Instances(name, path, description, in_process, texts, self._u, self._p, y.names, timeout)
-        self.path, self.timeout = str(path), timeout
+        self.timeout = timeout
         self.n_x = len(description.states)
         self.u_names, self.y_names = self._u.names, y.names
         self.u_scales, self.y_scales = self._u.scales, y.scales
@@ -81,10 +79,8 @@ class FmuEquations:
         self.hangs = False  # whether it ever did
         self.seen = np.zeros(self.n_u + description.n_events)  # raw inputs, indicators, where x' was asked for last
         self._exact, self._checked = self._has_directional(), False
-        self._slopes: OrderedDict[bytes, np.ndarray] = OrderedDict()
-        self._is_linear = False  # as far as has been seen
         stated = [entry.variable.nominal for entry in description.resolve(description.states)]
-        self._nominals = np.array([abs(value) if value else 1.0 for value in stated], float)
+        self.nominals = np.array([abs(value) if value else 1.0 for value in stated], float)
         entries = description.resolve(self.y_names)
         shown = [k for k, entry in enumerate(entries) if entry.variable.type == FLOATS[0]]
         self._smooth = shown  # the others, whole numbers, are constant in a mode
@@ -148,53 +144,6 @@ class FmuEquations:
                     J[:, first + k] = np.nan
         return J
 
-    def slopes(self, p: np.ndarray) -> np.ndarray:
-        """Return the factors of states and inputs in x' and y of a linear FMU, (n_x + n_y, n_x + n_u).
-
-        Raises FmuError where x' and y are not linear after all, or have a time event.
-        """
-        key = p.tobytes()
-        if key not in self._slopes:
-            if len(self._slopes) >= KEPT_POINTS * (2 * self.n_p + 2):
-                self._slopes.popitem(last=False)
-            self._slopes[key] = self._slopes_at(p)
-        return self._slopes[key]
-
-    def _slopes_at(self, p: np.ndarray) -> np.ndarray:
-        point = [np.zeros(1), np.zeros(self.n_x), np.zeros(self.n_u), p]
-        with self._instance(p) as slave:
-            due = self._modes[id(slave)][1]
-            if np.isfinite(due):
-                raise slave.event_refused(f"has a time event at t = {due:.6g} s", 0.0)
-        if self._exact:
-            J = self._by_states_and_inputs(0.0, *point[1:])
-        else:  # of a linear function the difference over any step is its slope
-            places = [(1, k) for k in range(self.n_x)] + [(2, k) for k in range(self.n_u)]
-            J = np.stack([self._column(point, *place, relative=1.0) for place in places], axis=1)
-        if not self._is_linear:
-            self._check_linear(J, p)
-        return J
-
-    def _check_linear(self, J: np.ndarray, p: np.ndarray) -> None:
-        """Once: raise FmuError where the factors do not give x' and y at states and inputs of several sizes."""
-        rest = self.both(0.0, np.zeros(self.n_x), np.zeros(self.n_u), p)
-        sizes = np.concatenate([self._nominals, np.ones(self.n_u)])
-        for size in PROBED:
-            point = size * sizes * np.where(np.arange(len(sizes)) % 2, -1.0, 1.0)
-            try:
-                found = self.both(0.0, point[: self.n_x], point[self.n_x :], p)
-            except RotorsimError:  # beyond what it is made for
-                continue
-            off = np.abs(found - rest - J @ point)
-            room = CHECKED * (np.abs(J) @ np.abs(point)) + ROUNDED * (np.abs(found) + np.abs(rest))
-            if (off > room).any():
-                name = [*self.description.derivatives, *self.y_names][int((off / room).argmax())]
-                what = f"says that {name} is linear in states and inputs, and it is not"
-                hint = 'tell its maker; "linear": false takes its equations as they are'
-                with self._instance(p) as slave:
-                    raise slave.step_failed("-", what, "refused", 0.0, hint)
-        self._is_linear = True
-
     def _by_states_and_inputs(self, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         n_x, n_u = self.n_x, self.n_u
         if not n_x + n_u:
@@ -234,22 +183,18 @@ class FmuEquations:
             what = "its directional derivatives are not those of its equations: central differences are taken"
             remark(self.name, what)
 
-    def _column(self, point: Sequence[np.ndarray], group: int, k: int, relative: float = RELATIVE_STEP) -> np.ndarray:
+    def _column(self, point: Sequence[np.ndarray], group: int, k: int) -> np.ndarray:
         """Return the derivative of x' and y by an entry of t, x, u or p."""
         seeds = [np.zeros(len(part)) for part in point]
         seeds[group][k] = 1.0
-        return self.difference(self.both, point, seeds, relative)
+        return self.difference(self.both, point, seeds)
 
     def difference(
-        self,
-        of: Callable[..., np.ndarray],
-        point: Sequence[np.ndarray],
-        seeds: Sequence[np.ndarray],
-        relative: float = RELATIVE_STEP,
+        self, of: Callable[..., np.ndarray], point: Sequence[np.ndarray], seeds: Sequence[np.ndarray]
     ) -> np.ndarray:
         """Return the central difference of a function of t, x, u, p in a direction of them.
 
-        Over a step that is small beside every entry that moves; relative: so much of it.
+        Over a step that is small beside every entry that moves.
         """
         room = [
             self._scale(group, k, float(point[group][k])) / abs(float(by))
@@ -257,7 +202,7 @@ class FmuEquations:
             for k, by in enumerate(own)
             if by
         ]
-        step = relative * min(room)
+        step = RELATIVE_STEP * min(room)
         ends = []
         for sign in (1.0, -1.0):
             t, x, u, p = (one + sign * step * seed for one, seed in zip(point, seeds, strict=True))
@@ -268,7 +213,7 @@ class FmuEquations:
 
     def _scale(self, group: int, k: int, value: float) -> float:
         """Return the size over which an entry of t, x, u or p changes."""
-        return abs(value) or (float(self._nominals[k]) if group == 1 else 1.0)
+        return abs(value) or (float(self.nominals[k]) if group == 1 else 1.0)
 
     # -- called from C -------------------------------------------------------------------------------------------------
 
@@ -290,7 +235,7 @@ class FmuEquations:
     def _bind(self, slave: Slave) -> None:
         if self.native is not None and not self.native.is_bound:
             scales, about = (self.u_scales, self.y_scales[self._smooth]), {"exact": self._exact, "timed": self.timed}
-            self.native.bind(slave, scales, self._nominals, RELATIVE_STEP, self.seen, **about)
+            self.native.bind(slave, scales, self.nominals, RELATIVE_STEP, self.seen, **about)
 
     # -- instances -----------------------------------------------------------------------------------------------------
 
@@ -316,7 +261,7 @@ class FmuEquations:
             first = heard.what.partition("\n")[0]
             what = f"is not asked any more in this fit, in which {MOST_HANGS} times it did not answer; first: {first}"
             hint = 'more time for an answer: "timeout" among the parameters of its block, in s'
-            raise FmuError(what, kind=GIVEN_UP, name=self.name, place=Place(self.path), hint=hint)
+            raise FmuError(what, kind=GIVEN_UP, name=self.name, place=Place(str(self.instances.path)), hint=hint)
 
     @contextmanager
     def _found(self, p: np.ndarray) -> Iterator[Slave]:

@@ -28,7 +28,7 @@ MOST_EVALUATIONS = 60
 SEARCH_METHODS = ("trf", "dogbox")  # the first creeps in curved valleys near a bound: the second goes on from there
 PASSES = 3  # of both, where neither has converged
 GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
-RANK = 1e-9  # of the largest singular value: below, a step says nothing
+FLAT = 1e-9  # of the largest singular value: below, a step says nothing
 ZERO_DERIVATIVE = 1e-11  # of the largest derivative: rounding
 SINGULAR_INFORMATION = (
     1e-13  # smallest eigenvalue of the information, each parameter's own being one: below, it is rounding
@@ -316,7 +316,7 @@ class Search:
         if failed:
             inner = found.active_mask == 0
             r, J = self.residual(q), self.jacobian(q)[:, moving][:, inner]
-            step = np.linalg.lstsq(J, -r, rcond=RANK)[0]
+            step = np.linalg.lstsq(J, -r, rcond=FLAT)[0]
             beyond, before = part.copy(), len(failed)
             beyond[inner] += step
             left = r + J @ step

@@ -20,10 +20,10 @@ from rotorsim.cosim.cosimulation import sources_of
 from rotorsim.diagram.diagram import Diagram, Node
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.files import atomic_target, sweep, temporary_prefix
-from rotorsim.fmi.block import FmuPort
 from rotorsim.fmi.description.model import FmuUnit, FmuVariable, ModelDescription
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.fmi.export.variables import INPUT, OUTPUT, PARAMETER, Interface, Variable
+from rotorsim.fmi.ports import FmuPort
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.ssp.structure import STRUCTURE_FILE, Component, Connection, Connector, End, Setting, Structure, System
 from rotorsim.ssp.writer import system_description, values_description

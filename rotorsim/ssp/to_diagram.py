@@ -21,10 +21,11 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.files import HIDDEN, sweep, temporary_prefix, write_atomically
-from rotorsim.fmi.block import FmuOption, block_class
+from rotorsim.fmi.block import block_class
 from rotorsim.fmi.description.archive import Archive, Limits
 from rotorsim.fmi.description.attributes import Mistakes
 from rotorsim.fmi.description.model import INTEGERS, Entry, FmuUnit, ModelDescription, Value
+from rotorsim.fmi.ports import FmuOption
 from rotorsim.model.load import load
 from rotorsim.ssp.flat import Feed, Flat, Path, names_of, rescaled, value_at
 from rotorsim.ssp.reader import read_structure

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.fmi.block import FmuPort
 from rotorsim.fmi.description.model import FmuUnit
+from rotorsim.fmi.ports import FmuPort
 from rotorsim.ssp.flat import Feed
 from rotorsim.units import compatible
 

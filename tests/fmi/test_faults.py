@@ -226,7 +226,7 @@ def test_one_candidate_that_kills_its_process_is_the_only_one_lost(monkeypatch: 
 )
 def test_an_fmu_that_cannot_be_reset_is_made_anew_and_that_is_said(plants: Path, fault: str, said: list[str]) -> None:
     equations = equations_of(plants, in_process=False, label=fault)
-    equations._instances.texts["fault"] = FAULTS.index(fault)
+    equations.instances.texts["fault"] = FAULTS.index(fault)
     equations._most = 1
     u, p = np.nan_to_num(equations._u.starts), equations._p.starts.copy()
     with hearing() as heard:

@@ -157,7 +157,7 @@ def test_the_time_for_an_answer_is_an_option(plants: Path) -> None:
     assert TIMEOUT == 10.0
     for timeout in ({}, {"timeout": 2.5}):
         equations = equations_of(plants, in_process=False, **timeout)
-        assert equations._instances.timeout == timeout.get("timeout", 10.0)
+        assert equations.instances.timeout == timeout.get("timeout", 10.0)
 
 
 def test_of_a_flood_of_messages_the_first_and_the_last_are_kept() -> None:
