@@ -36,7 +36,7 @@ def diagnosis_data(diagnosis: Diagnosis) -> dict[str, Any]:
     return {
         "verdict": diagnosis.verdict,
         "where": [
-            _place(spot, one.probability, number)
+            _place(spot, one.probability, number) | _inside(spot, diagnosis)
             for number, one in enumerate(diagnosis.places, start=1)
             for spot in one.places
         ],
@@ -140,6 +140,11 @@ def _place(spot: Spot, probability: float, number: int) -> dict[str, Any]:
     side = {"side": spot.side} if spot.side else {}  # of a signal in time
     place = {"block": spot.block, "port": spot.port, "node": node, "axis": None, "probability": probability}
     return {**place, "class": number, **side}
+
+
+def _inside(spot: Spot, diagnosis: Diagnosis) -> dict[str, Any]:
+    names = diagnosis.inside(spot)
+    return {"inside": [*names]} if names else {}
 
 
 def _effect_parameters(effect: Effect, fit: Fit) -> dict[str, Any]:

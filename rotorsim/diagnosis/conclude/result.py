@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from rotorsim._shown import Shown
@@ -17,6 +18,7 @@ from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.diagnosis.search.candidates import Candidate
 from rotorsim.diagnosis.search.selection import Selection
+from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
 from rotorsim.identification.profile import Z90
 from rotorsim.recordings.orders import OrderRecording
@@ -125,6 +127,18 @@ class Diagnosis(Shown):
     def twice(self) -> bool:
         """Whether one effect was taken twice at one place: together they stand for a law that neither has."""
         return taken_twice(self.effects)
+
+    def inside(self, spot: Spot) -> tuple[str, ...]:
+        """Return the blocks with equations of their own (FMUs) at a place: what acts there may be inside them."""
+        diagram = self._as_given
+        port = spot.block, spot.port
+        behind = [wire.target.block for wire in diagram.wires if (wire.source.block, wire.source.port) == port]
+        names = dict.fromkeys([spot.block, *behind]) if spot.side != "reading" else {}
+        return tuple(name for name in names if name in diagram.nodes and diagram.nodes[name].block.opaque)
+
+    @cached_property
+    def _as_given(self) -> Diagram:
+        return self.evidence.load(self.before.document)
 
     def measured(self, effect: Effect) -> dict[str, tuple[float, float, str]]:
         """Return the parameters of an effect that the signals gave by themselves: value, standard deviation, unit."""

@@ -121,7 +121,18 @@ def statement(diagnosis: Diagnosis) -> str:
         parts = _disturbed(diagnosis, signal)
     else:
         parts = _missing(diagnosis)
-    return " ".join(part for part in [*parts, _untried(diagnosis)] if part)
+    return " ".join(part for part in [*parts, _inside(diagnosis), _untried(diagnosis)] if part)
+
+
+def _inside(diagnosis: Diagnosis) -> str:
+    """Return which blocks may hide what was located at their ports."""
+    first = diagnosis.places[0].places if diagnosis.places and diagnosis.verdict != "consistent" else ()
+    spots = [spot for spot in first if diagnosis.inside(spot)]
+    if not spots:
+        return ""
+    hidden = _list(list(dict.fromkeys(name for spot in spots for name in diagnosis.inside(spot))))
+    at = _list(list(map(str, spots)))
+    return f"What acts at {at} may as well be inside {hidden}, whose equations are its own and are not looked into."
 
 
 def _untried(diagnosis: Diagnosis) -> str:
