@@ -40,7 +40,8 @@ def test_places_next_to_an_fmu(found: Any) -> None:
 def test_it_is_said_of_the_likeliest_places(found: Any) -> None:
     found.places = (PlaceClass((Spot("force", "output"), Spot("it", "u")), 0.9), PlaceClass((Spot("it", "y"),), 0.1))
     assert _inside(found) == (
-        "What acts at force.output and it.u may as well be inside it, whose equations are its own and are not looked into."
+        "What acts at force.output and it.u may as well be inside it, whose equations are its own and are not looked "
+        "into."
     )
     found.places = (PlaceClass((Spot("gauge", "output"),), 1.0),)
     assert _inside(found) == ""
