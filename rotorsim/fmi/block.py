@@ -335,7 +335,7 @@ def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
         together.setdefault(follows, {})[name] = rows
     outputs: dict[str, Any] = {}
     for follows, members in together.items():
-        seen = [value if name in follows else ca.SX(*value.shape) for name, value in fed.items()]
+        seen = [value if name in follows else concatenate([_begun(moving[name])]) for name, value in fed.items()]
         rows_of_all = [k for rows in members.values() for k in rows]
         groups = (True, bool(n_x), bool(follows), True)
         column = functions.call("y", rows_of_all, groups, [t, state, concatenate([ca.SX(0, 1), *seen]), values])
@@ -376,8 +376,12 @@ def _unfed(block: Any, p: Any, name: str, port: FmuPort, start: bool = False) ->
     alone = name not in block.wired
     if alone and name in block.parameters and name not in block.fmu_parameters:
         return getattr(p, name)
-    value = np.zeros(_two(port.shape)) if port.start is None else np.reshape(port.start, _two(port.shape))
-    return ca.SX(value if alone or start else np.zeros_like(value))
+    return _begun(port) if alone or start else zeros(*_two(port.shape))
+
+
+def _begun(port: FmuPort) -> Any:
+    """Return the value with which the FMU begins an input."""
+    return ca.SX(np.zeros(_two(port.shape)) if port.start is None else np.reshape(port.start, _two(port.shape)))
 
 
 def _two(shape: Shape) -> tuple[int, int]:

@@ -48,14 +48,14 @@ typedef struct {
 /* n: states, inputs, outputs, event indicators, parameters. exact: it offers directional derivatives; timed: it may
    follow the time itself; guarded: an event ends the equations. relative: step of central differences, of a value or
    else its nominal. Scales (n, 2): SI = factor value + offset. refs: of inputs, outputs, [x'; y] and [x; u], how many of
-   each, which with arrays are fewer than the values. seen: inputs, as the FMU has them, and event indicators where x'
+   each, which with arrays are fewer than the values. idle: inputs where none are given. seen: inputs, as the FMU has them, and event indicators where x'
    was asked for last. work: zeros, as many as compiled.py says. */
 typedef struct {
     int64_t version, n_x, n_u, n_y, n_z, n_p, exact, timed, guarded, n_pairs;
     int64_t counts[4];
     void *set_time, *set_x, *get_xdot, *get_z, *set_real, *get_real, *directional;
     const uint32_t *refs[4];
-    const double *u_scales, *y_scales, *nominals;
+    const double *u_scales, *y_scales, *nominals, *idle;
     double relative;
     int64_t n_ready;
     const rs_ready *ready;
@@ -180,12 +180,13 @@ static void wanted(const rs_function *self, int *rates, int *outputs) {
     }
 }
 
-/* The parts of arguments, t, x, u, p; those that are none point to zeros. */
-static const double *parts(const rs_function *self, const double *a, const double **part, const double *zeros) {
+/* The parts of arguments, t, x, u, p; those that are none point to zeros, u to idle ones. */
+static const double *parts(const rs_function *self, const double *a, const double **part, const double *zeros,
+                           const double *idle) {
     const rs_fmu *f = self->fmu;
     const int64_t sizes[4] = {1, f->n_x, f->n_u, f->n_p};
     for (int g = 0; g < 4; g++) {
-        part[g] = self->groups[g] ? a : zeros;
+        part[g] = self->groups[g] ? a : g == 2 ? idle : zeros;
         if (self->groups[g]) a += sizes[g];
     }
     return a;
@@ -211,7 +212,7 @@ RS_EXPORT void rs_fmu_values(void *context, const double *arguments, double *res
     double *out = f->work + f->n_u, *zeros = out + 2 * (f->n_x + f->n_y) + f->n_x + f->n_u;
     const double *part[4];
     int rates, outputs;
-    parts(self, arguments, part, zeros);
+    parts(self, arguments, part, zeros, f->idle);
     wanted(self, &rates, &outputs);
     const rs_instance *i = ready(f, part[3]);
     if (!i || !evaluated(f, i, *part[0], part[1], part[2], rates, outputs, out) ||
@@ -293,9 +294,9 @@ RS_EXPORT void rs_fmu_forward(void *context, const double *arguments, double *re
     const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u;
     double *out = f->work + f->n_u, *zeros = out + 2 * n + m, *direction = zeros + f->n_p + m + 1;
     const double *part[4], *seed[4];
-    const double *rest = parts(self, arguments, part, zeros);
+    const double *rest = parts(self, arguments, part, zeros, f->idle);
     int rates, outputs;
-    parts(self, rest + self->n_rows, seed, zeros);
+    parts(self, rest + self->n_rows, seed, zeros, zeros);
     wanted(self, &rates, &outputs);
     const int in_t = f->timed && seed[0][0] != 0.0, in_p = any(seed[3], f->n_p);
     const int in_xu = any(seed[1], f->n_x) || any(seed[2], f->n_u);
@@ -319,7 +320,7 @@ RS_EXPORT void rs_fmu_reverse(void *context, const double *arguments, double *re
     double *out = f->work + f->n_u, *zeros = out + 2 * n + m, *direction = zeros + f->n_p + m + 1;
     double *rows = direction + m, *seed = rows + n, *to = results;
     const double *part[4];
-    const double *weights = parts(self, arguments, part, zeros) + self->n_rows;
+    const double *weights = parts(self, arguments, part, zeros, f->idle) + self->n_rows;
     int rates, outputs, sound = 1;
     wanted(self, &rates, &outputs);
     for (int g = 0; g < 4 && sound; g++)

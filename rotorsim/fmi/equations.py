@@ -59,6 +59,7 @@ class FmuEquations:
         self._instances = Instances(name, path, description, in_process, texts, self._u, self._p, y.names)
         self.n_x = len(description.states)
         self.u_names, self.y_names = self._u.names, y.names
+        self.idle = np.nan_to_num(self._u.starts)  # inputs of what does not follow them: the FMU may divide by them
         self.u_scales, self.y_scales = self._u.scales, y.scales
         self.n_u, self.n_y, self.n_p = len(self._u), len(y), len(self._p)
         self._most = 2 * self.n_p + 2  # one, and two for the difference by each parameter, and one that comes
@@ -158,7 +159,7 @@ class FmuEquations:
         checked, self._checked = self._checked, True
         if checked or not self._exact:
             return
-        u = np.nan_to_num(self._u.starts)
+        u = self.idle
         told = np.full((self.n_x + self.n_y, self.n_x + self.n_u), np.nan)
         with suppress(RotorsimError):
             told = self._by_states_and_inputs(0.0, x, u, p)
@@ -210,7 +211,7 @@ class FmuEquations:
     def _bind(self, slave: Slave) -> None:
         if self.native is not None and not self.native.is_bound:
             scales, about = (self.u_scales, self.y_scales[self._smooth]), {"exact": self._exact, "timed": self.timed}
-            self.native.bind(slave, scales, self._nominals, RELATIVE_STEP, self.seen, **about)
+            self.native.bind(slave, scales, self._nominals, self.idle, RELATIVE_STEP, self.seen, **about)
 
     # -- instances -----------------------------------------------------------------------------------------------------
 
