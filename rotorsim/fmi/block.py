@@ -301,12 +301,18 @@ def _not_traced(block: Any) -> tuple[str, str]:
         if interface == "cs" and "me" in description.kinds:
             return f"is an FMU {hidden}", f'it offers Model Exchange, too: "interface": "me"; {cosim} as it is'
         return f"is an FMU {hidden}", f"{cosim}; export it for Model Exchange, too"
-    if description.n_events and not description.states:
+    if not description.states and (description.n_events or _is_sampled(description)):
         return "is an FMU with events and without states, which only a co-simulation carries out", cosim
     stepped = [name for name in held_inputs(block) if name in block.wired]
     if stepped:
         return f"is an FMU that takes its input {stepped[0]} at events only", cosim
     return "", ""
+
+
+def _is_sampled(description: ModelDescription) -> bool:
+    """Return whether all outputs change at events only."""
+    outputs = description.by_causality("output")
+    return bool(outputs) and all(v.variability == "discrete" for v in outputs)
 
 
 def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:

@@ -73,6 +73,7 @@ typedef struct rs_function {
     void (*slow)(void *, const double *, double *);
 } rs_function;
 
+#define RS_VANISHED 1e-250 /* as in equations.py */
 typedef int (*time_)(void *, double);
 typedef int (*set_)(void *, const double *, size_t);
 typedef int (*get_)(void *, double *, size_t);
@@ -242,7 +243,7 @@ static int along_states(const rs_fmu *f, const double *const *part, double *dire
     double *moved = other + n;
     for (int64_t k = 0; k < m; k++) {
         const double value = k < f->n_x ? part[1][k] : part[2][k - f->n_x];
-        const double size = value != 0.0 ? fabs(value) : k < f->n_x ? f->nominals[k] : 1.0;
+        const double size = fabs(value) > RS_VANISHED ? fabs(value) : k < f->n_x ? f->nominals[k] : 1.0;
         if (direction[k] != 0.0 && size / fabs(direction[k]) < room) room = size / fabs(direction[k]);
     }
     const double step = f->relative * room;

@@ -33,7 +33,13 @@ KEPT_POINTS = (
     6  # values of all parameters, each with differences by every one, whose instances in this process are kept
 )
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
+VANISHED = 1e-250  # of a value: as zero, whose relative step would be none (a decay that has ended in denormal numbers)
 CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
+
+
+def size_of(value: float, nominal: float = 1.0) -> float:
+    """Return the size over which a value changes: its own, or the nominal one where it has none."""
+    return abs(value) if abs(value) > VANISHED else nominal
 
 
 class FmuEquations:
@@ -189,7 +195,7 @@ class FmuEquations:
 
     def _scale(self, group: int, k: int, value: float) -> float:
         """Return the size over which an entry of t, x, u or p changes."""
-        return abs(value) or (float(self._nominals[k]) if group == 1 else 1.0)
+        return size_of(value, float(self._nominals[k]) if group == 1 else 1.0)
 
     # -- called from C -------------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.fmi.compiled import InC
-from rotorsim.fmi.equations import RELATIVE_STEP, FmuEquations
+from rotorsim.fmi.equations import RELATIVE_STEP, FmuEquations, size_of
 from rotorsim.model.called import CALLED_AT, has_failed, note_failure, register
 
 
@@ -207,7 +207,7 @@ class _Called(_Function):
     def _difference(self, point: Sequence[np.ndarray], seeds: Sequence[np.ndarray]) -> np.ndarray:
         """Return the central difference in a direction, over a step that is small beside every entry that moves."""
         room = [
-            (abs(float(value)) or 1.0) / abs(float(by))
+            size_of(float(value)) / abs(float(by))
             for group, own in zip(point, seeds, strict=True)
             for value, by in zip(group, own, strict=True)
             if by

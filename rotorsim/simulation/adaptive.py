@@ -47,7 +47,7 @@ def run_adaptive(
         crossing += switching.crossings()
     options: dict[str, Any] = {"method": ADAPTIVE[method], "rtol": solver.rtol, "atol": solver.atol}
     if method in IMPLICIT:
-        options["jac"] = lambda t, x: _sound(np.array(model.jacobian(t, x, instance.z, p)))
+        options["jac"] = lambda t, x: _finite(_sound(np.array(model.jacobian(t, x, instance.z, p))), t, model)
     grid = np.arange(n_steps // every + 1) * every * h
     rows = np.empty((len(grid), instance.n_y))
     counters = {"steps": 0, "evaluations": 0, "events": 0, "jacobians": 0}
@@ -108,6 +108,15 @@ def _sound(values: np.ndarray) -> np.ndarray:
     """Return values, unless a part has failed while they were computed."""
     raise_failure()
     return values
+
+
+def _finite(jacobian: np.ndarray, t: float, model: Model) -> np.ndarray:
+    """Return a Jacobian, which implicit methods need to be finite."""
+    if not np.isfinite(jacobian).all():
+        block = model.block_of_state(int(np.argwhere(~np.isfinite(jacobian))[0][0]))
+        what = f"the derivatives of its equations by the states are not finite at t = {t:.6g} s"
+        raise RotorsimError(Problem(what, block, hint="rk4, dop853 and rk45 do without them"), exit_code=1)
+    return jacobian
 
 
 def _events(model: Model, p: np.ndarray, instance: Instance) -> list[Callable[[float, np.ndarray], float]]:
