@@ -132,8 +132,9 @@ class InC:
     ) -> None:
         """Take the functions of the library of an instance.
 
-        scales: of inputs and outputs, (n, 2); nominals (n_x,); idle (n_u,): inputs of functions that do not follow them;
-        relative: step of central differences; seen (n_u + n_z,): gets inputs and event indicators where x' was asked for last.
+        scales: of inputs and outputs, (n, 2); nominals (n_x,); idle (n_u,): inputs of functions that do not follow
+        them; relative: step of central differences; seen (n_u + n_z,): gets inputs and event indicators where x' was
+        asked for last.
         """
         description, made = self.description, self.made
         n_x, n_u, n_y, n_p = len(description.states), len(self.u), len(self.y), self._n_p

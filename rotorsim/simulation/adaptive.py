@@ -45,7 +45,10 @@ def run_adaptive(
     switching = instance if isinstance(instance, SwitchingInstance) else None
     if switching is not None:
         crossing += switching.crossings()
+        crossing += switching.completions(tuple(crossing))
     options: dict[str, Any] = {"method": ADAPTIVE[method], "rtol": solver.rtol, "atol": solver.atol}
+    if switching is not None and switching.stepwise:
+        options["max_step"] = h  # what is told of every step has to be told as often as with fixed ones
     if method in IMPLICIT:
         options["jac"] = lambda t, x: _finite(_sound(np.array(model.jacobian(t, x, instance.z, p))), t, model)
     grid = np.arange(n_steps // every + 1) * every * h
@@ -63,7 +66,7 @@ def run_adaptive(
         while t < end:
             stop = min(instance.next_hit(), end)
             if switching is not None:
-                stop = min(stop, switching.next_time, t + h if switching.stepwise else end)
+                stop = min(stop, switching.next_time)
             part = solve_ivp(slope, (t, stop), x, events=crossing, dense_output=True, **options)
             counters["steps"] += len(part.t) - 1
             counters["evaluations"] += part.nfev

@@ -21,7 +21,7 @@ from rotorsim.settled.periodic import periodic
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
 from tests.fmi.conftest import Make
-from tests.fmi.events import description2, alone, events_fmu
+from tests.fmi.events import alone, description2, events_fmu
 from tests.fmi.plant import floats_only, library, make_fmu
 from tests.fmi.test_equations import of_plant, with_fmu
 
@@ -60,6 +60,27 @@ def test_a_ball_bounces_and_what_follows_it_too(file: Path, method: str) -> None
     fine = np.linspace(0.0, 2.0, 2_000_001)
     area = np.concatenate([[0.0], np.cumsum((ball(fine)[1:] + ball(fine)[:-1]) / 2 * np.diff(fine))])
     np.testing.assert_allclose(found["sum.output"], np.interp(t, fine, area), atol=1e-6)
+
+
+@METHODS
+def test_who_is_told_of_steps_changes_none(tmp_path: Path, method: str) -> None:
+    """A ball that wants to be told bounces as one that does not; what asks for an event behind a step has it there."""
+    told = events_fmu(tmp_path)
+    found = simulate(alone(told, "ball", step=H, stop=2.0), method=method)
+    np.testing.assert_allclose(found["it.x"], ball(found.time), atol=1e-9)
+    found = simulate(alone(told, "late", step=H, stop=4.0, high=1.5), method=method)
+    assert (found.status, found["it.count"][-1]) == ("finished", 3.0)  # x = 1 + t is 1.5, 3.0 and 4.5, or a step later
+    late = found["it.when"][-1] - 3.5
+    assert 0 <= late <= H * (1 + 1e-6)
+
+
+def test_a_method_goes_on_where_steps_are_told(tmp_path: Path, file: Path) -> None:
+    """One that begins anew at each step begins with small ones: BDF took 18 for each step of the diagram."""
+    steps = [
+        simulate(alone(one, "two", step=0.05, stop=5.0, low=-9.0), method="bdf").counters["steps"]
+        for one in (file, events_fmu(tmp_path))
+    ]
+    assert steps[1] <= steps[0] + 5.0 / 0.05
 
 
 def test_two_balls_of_one_file_have_modes_of_their_own(file: Path) -> None:
