@@ -18,7 +18,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.fmi.functions import functions_of
-from rotorsim.fmi.runtime.slave import Slave
+from rotorsim.fmi.runtime.slave import Fmu, Slave
 from rotorsim.linear.eigenmodes import modes
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
@@ -183,6 +183,19 @@ def test_an_input_that_is_wired_does_not_begin_with_its_start_value(tmp_path: Pa
     wires = [["in.output", "it.u"]]
     found = simulate(of_plant(tmp_path, "2.0", blocks, wires, in_process=in_process, gain=1.0))
     np.testing.assert_allclose(found.signals["it.y"], 0.02 + 0.98 * decay(found.time) + 3, atol=1e-7)
+
+
+def test_in_this_process_instances_are_used_again(plants: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A foreign library may keep something of every instance that it makes until there is no more of it."""
+    made: list[Slave] = []
+    new = Fmu.instantiate
+    monkeypatch.setattr(Fmu, "instantiate", lambda self, *how: made.append(new(self, *how)) or made[-1])
+    model = compile_diagram(of_plant(plants))
+    most = functions_of(model.diagram.nodes["it"].block).equations._most
+    for k in range(2 * most):
+        p = model.parameter_vector({"it.stiffness": 101.0 + k})
+        assert model.rhs(0.0, np.array([1.0, 0.0]), model.z0(p), p)[1] == -101.0 - k
+    assert len(made) <= most + 1  # one more tells whether a reset is as good
 
 
 def test_an_input_that_is_taken_at_events_only_hides_the_equations(plants: Path) -> None:
