@@ -12,6 +12,7 @@ from rotorsim.cli.shared import (
     Chosen,
     check_folder,
     diagram_argument,
+    fmus_print_elsewhere,
     hold_out_option,
     jobs_options,
     json_option,
@@ -105,7 +106,7 @@ def command(
     held = None if hold_out is None else load_any(_existing("--hold-out", hold_out))
     if out:
         _make(out)
-    with progress_bar("diagnose", progress) as bar:
+    with progress_bar("diagnose", progress) as bar, fmus_print_elsewhere(loaded):
         diagnosis = diagnose(
             loaded,
             measured,

@@ -11,6 +11,7 @@ from rotorsim.cli.shared import (
     Chosen,
     check_folder,
     diagram_argument,
+    fmus_print_elsewhere,
     given_options,
     hold_out_option,
     json_option,
@@ -95,16 +96,18 @@ def command(
     wanted = THESIS_ORDERS if orders is None else whole_numbers("--orders", orders, "--orders 0,1,2,-1")
     _refuse_unheard(method, orders, reduction, given)
     loaded, measured = chosen.open(), load_any(recording)
-    identification = identify(
-        loaded,
-        measured,
-        method=method,
-        given=given,
-        orders=wanted,
-        reduction=reduction,
-        precision=share,
-        hold_out=None if hold_out is None else load_any(hold_out),
-    )
+    held = None if hold_out is None else load_any(hold_out)
+    with fmus_print_elsewhere(loaded):
+        identification = identify(
+            loaded,
+            measured,
+            method=method,
+            given=given,
+            orders=wanted,
+            reduction=reduction,
+            precision=share,
+            hold_out=held,
+        )
     show_problems(identification.warnings)
     if out:
         from rotorsim.report.identification.figures import save_figures

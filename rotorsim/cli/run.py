@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ from rotorsim.cli.shared import (
     clock_of,
     diagram_options,
     file_option,
+    fmus_print_elsewhere,
     json_option,
     note,
     plot_option,
@@ -31,7 +31,6 @@ from rotorsim.errors import Problem
 from rotorsim.report.text.table import percent, table
 
 if TYPE_CHECKING:
-    from rotorsim.diagram.diagram import Diagram
     from rotorsim.model.compiled import Model
     from rotorsim.signals.spectrum import Harmonics
     from rotorsim.simulation.result import Result
@@ -120,7 +119,7 @@ def command(
 
     check_sinks(loaded)
     model = model_for_runs(loaded)
-    with progress_bar(loaded.name, progress) as bar, _printing_elsewhere(loaded):
+    with progress_bar(loaded.name, progress) as bar, fmus_print_elsewhere(loaded):
         # With a function to call, the run is cut into pieces, so that Ctrl-C is heard between them.
         result = simulate(
             model,
@@ -224,15 +223,6 @@ def in_unit(value: float, unit: str) -> tuple[float, str]:
     from rotorsim.units import conversion
 
     return value / conversion(unit, None), "" if unit == "1" else unit
-
-
-def _printing_elsewhere(diagram: Diagram) -> AbstractContextManager[None]:
-    """Keep what FMUs in this process print out of the results."""
-    if not any(node.block.opaque for node in diagram.nodes.values()):
-        return nullcontext()
-    from rotorsim.fmi.runtime.printing import printing_elsewhere
-
-    return printing_elsewhere()
 
 
 def _silent(fraction: float) -> None:

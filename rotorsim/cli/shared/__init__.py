@@ -48,6 +48,7 @@ from rotorsim.cli.shared.options import (
 )
 from rotorsim.cli.shared.output import (
     echo_json,
+    fmus_print_elsewhere,
     note,
     note_mistakes,
     plain,
@@ -73,6 +74,7 @@ __all__ = [
     "echo_json",
     "file_option",
     "fmi_option",
+    "fmus_print_elsewhere",
     "gains_of",
     "given_options",
     "hold_out_option",

@@ -7,7 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any, TextIO
 
 import click
@@ -16,6 +16,8 @@ from rotorsim.errors import Problem, visible
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from rotorsim.diagram.diagram import Diagram
 
 
 def show(as_json: bool, data: Callable[[], Any], text: Callable[[], str]) -> None:
@@ -42,6 +44,15 @@ def plain(value: Any) -> Any:
     if isinstance(value, complex):
         return [plain(value.real), plain(value.imag)]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def fmus_print_elsewhere(diagram: Diagram) -> AbstractContextManager[None]:
+    """Keep what FMUs in this process print out of the results."""
+    if not any(node.block.opaque for node in diagram.nodes.values()):
+        return nullcontext()
+    from rotorsim.fmi.runtime.printing import printing_elsewhere
+
+    return printing_elsewhere()
 
 
 def note(text: str) -> None:
