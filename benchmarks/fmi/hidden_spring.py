@@ -9,7 +9,7 @@ here, of the equations of the masses written down and integrated by SciPy, with 
 
   nothing   nothing is hidden: `diagnose` must say consistent
   spring    the connection hardens by its cube, which the diagram lacks: static_nonlinearity on its way from one mass to
-                the other, within three standard deviations (with the noise of --seed 0 it is 3.5 off)
+            the other, within three standard deviations (with the noise of --seed 0 it is 3.5 off)
   mass      mass 1 is a fifth heavier than the diagram says: `identify` must find it within three standard deviations
 
 The FMUs run in this process; --isolated: each instance in one of its own, as is the default of a block. Exit 1 where
