@@ -143,12 +143,18 @@ def _not_traced(block: Any) -> tuple[str, str]:
         if interface == "cs" and "me" in description.kinds:
             return f"is an FMU {hidden}", f'it offers Model Exchange, too: "interface": "me"; {cosim} as it is'
         return f"is an FMU {hidden}", f"{cosim}; export it for Model Exchange, too"
-    if description.n_events and not description.states:
+    if not description.states and (description.n_events or _is_sampled(description)):
         return "is an FMU with events and without states, which only a co-simulation carries out", cosim
     stepped = [name for name in held_inputs(block) if name in block.wired]
     if stepped:
         return f"is an FMU that takes its input {stepped[0]} at events only", cosim
     return "", ""
+
+
+def _is_sampled(description: ModelDescription) -> bool:
+    """Return whether all outputs change at events only."""
+    outputs = description.by_causality("output")
+    return bool(outputs) and all(v.variability == "discrete" for v in outputs)
 
 
 def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
@@ -177,7 +183,7 @@ def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
         together.setdefault(follows, {})[name] = rows
     outputs: dict[str, Any] = {}
     for follows, members in together.items():
-        seen = [value if name in follows else ca.SX(*value.shape) for name, value in fed.items()]
+        seen = [value if name in follows else concatenate([_begun(moving[name])]) for name, value in fed.items()]
         rows_of_all = [k for rows in members.values() for k in rows]
         groups = (True, bool(n_x), bool(follows), True)
         column = functions.call("y", rows_of_all, groups, [t, state, concatenate([ca.SX(0, 1), *seen]), values])
@@ -187,7 +193,10 @@ def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
 
 
 def _linear_equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations | None:
-    """Return x' = A(p) x + B(p) u + f(t, p), and outputs likewise, where the model description says that it is so."""
+    """Return x' = A(p) x + B(p) (u - u0) + f(t, p), u0 the inputs with which it begins, and outputs likewise.
+
+    None where the model description does not say that it is so.
+    """
     block: Any = self
     description, ports = block.fmu_description, block.fmu_outputs
     unknowns = [entry for port in ports.values() for entry in port.entries]
@@ -201,7 +210,8 @@ def _linear_equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations 
     slopes = ca.reshape(functions.slopes(values), len(knowns), len(rows)).T
     listed = [[description.follows(unknown, known) for known in knowns] for unknown in rows]
     factors = slopes * ca.sparsify(ca.DM(listed))
-    column = factors @ ca.vertcat(x.states, *fed) + functions.forcing(t, values)
+    moved = ca.vertcat(x.states, ca.vertcat(ca.SX(0, 1), *fed) - ca.SX(functions.equations.idle))
+    column = factors @ moved + functions.forcing(t, values)
     n_x = len(description.states)
     parts = _split(column[n_x:], [len(port.entries) for port in ports.values()])
     outputs = {name: unflatten(part, _two(ports[name].shape)) for name, part in zip(ports, parts, strict=True)}
@@ -240,8 +250,12 @@ def _unfed(block: Any, p: Any, name: str, port: FmuPort, start: bool = False) ->
     alone = name not in block.wired
     if alone and name in block.parameters and name not in block.fmu_parameters:
         return getattr(p, name)
-    value = np.zeros(_two(port.shape)) if port.start is None else np.reshape(port.start, _two(port.shape))
-    return ca.SX(value if alone or start else np.zeros_like(value))
+    return _begun(port) if alone or start else zeros(*_two(port.shape))
+
+
+def _begun(port: FmuPort) -> Any:
+    """Return the value with which the FMU begins an input."""
+    return ca.SX(np.zeros(_two(port.shape)) if port.start is None else np.reshape(port.start, _two(port.shape)))
 
 
 def _two(shape: Shape) -> tuple[int, int]:

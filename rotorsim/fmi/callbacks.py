@@ -140,8 +140,13 @@ class Called(_Function):
         return equations.n_x
 
     def whole(self, arguments: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Return t, x, u, p; zeros for what is no argument."""
-        pairs = zip(arguments, self.sizes, self.groups, strict=True)
+        """Return t, x, u, p; for what is no argument zeros, inputs with which the FMU begins."""
+        missing = [np.zeros(self.sizes[0]), np.zeros(self.sizes[1]), self.equations.idle, np.zeros(self.sizes[3])]
+        return [one if given else idle for one, idle, given in zip(arguments, missing, self.groups, strict=True)]
+
+    def moves(self, seeds: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Return how t, x, u, p move; what is no argument does not."""
+        pairs = zip(seeds, self.sizes, self.groups, strict=True)
         return [one if given else np.zeros(size) for one, size, given in pairs]
 
     def evaluate(self, *arguments: np.ndarray) -> Sequence[np.ndarray]:
@@ -269,9 +274,8 @@ class _ByParameter(_Function):
         super().__init__(name, of.arguments[3:], [(of.size, 1)], **options)
 
     def evaluate(self, *arguments: np.ndarray) -> Sequence[np.ndarray]:
-        seed = np.eye(self.of.sizes[3])[self.k]
-        nothing = [np.zeros(size) for size in self.of.sizes[:3]]
-        return [self.of.along([*nothing, *arguments], [*nothing, seed])]
+        nothing, seed = [_NOTHING] * 3, np.eye(self.of.sizes[3])[self.k]
+        return [self.of.along(self.of.whole([*nothing, *arguments]), self.of.moves([*nothing, seed]))]
 
 
 class _Forward(_Function):
@@ -283,7 +287,7 @@ class _Forward(_Function):
         super().__init__(name, sizes, [(of.size, 1)], enable_fd=True, fd_method="central", never_inline=True)
 
     def evaluate(self, *arguments: np.ndarray) -> Sequence[np.ndarray]:
-        return [self.of.along(self.of.whole(arguments[:4]), self.of.whole(arguments[5:]))]
+        return [self.of.along(self.of.whole(arguments[:4]), self.of.moves(arguments[5:]))]
 
 
 class _Reverse(_Function):

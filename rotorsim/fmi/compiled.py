@@ -46,7 +46,7 @@ class _Fmu(ctypes.Structure):
         ("counts", _INT * 4),
         *((n, _POINTER) for n in ("set_time", "set_x", "get_xdot", "get_z", "set_real", "get_real", "directional")),
         ("refs", _POINTER * 4),
-        *((n, _POINTER) for n in ("u_scales", "y_scales", "nominals")),
+        *((n, _POINTER) for n in ("u_scales", "y_scales", "nominals", "idle")),
         ("relative", ctypes.c_double),
         ("n_ready", _INT),
         ("ready", _POINTER),
@@ -124,6 +124,7 @@ class InC:
         slave: Slave,
         scales: Sequence[np.ndarray],
         nominals: np.ndarray,
+        idle: np.ndarray,
         relative: float,
         seen: np.ndarray,
         *,
@@ -132,8 +133,9 @@ class InC:
     ) -> None:
         """Take the functions of the library of an instance.
 
-        scales: of inputs and outputs, (n, 2); nominals (n_x,); relative: step of central differences; seen
-        (n_u + n_z,): gets inputs and event indicators where x' was asked for last.
+        scales: of inputs and outputs, (n, 2); nominals (n_x,); idle (n_u,): inputs of functions that do not follow
+        them; relative: step of central differences; seen (n_u + n_z,): gets inputs and event indicators where x' was
+        asked for last.
         """
         description, made = self.description, self.made
         n_x, n_u, n_y, n_p = len(description.states), len(self.u), len(self.y), self._n_p
@@ -144,9 +146,9 @@ class InC:
         n, m = n_x + n_y, n_x + n_u
         # raw inputs, two times [x'; y], a point; zeros; a direction, rows, a direction in p
         work = np.zeros(n_u + 2 * n + m + (n_p + m + 1) + m + n + n_p)
-        held = [np.array(array, float) for array in (*scales, nominals)]
+        held = [np.array(array, float) for array in (*scales, nominals, idle)]
         self._keep += [work, seen, *held]
-        made.u_scales, made.y_scales, made.nominals = (array.ctypes.data for array in held)
+        made.u_scales, made.y_scales, made.nominals, made.idle = (array.ctypes.data for array in held)
         made.relative = relative
         made.seen, made.guarded = seen.ctypes.data, int(self.guarded)
         made.work, made.pairs = work.ctypes.data, ctypes.addressof(self._pairs)

@@ -10,6 +10,8 @@
 #define RS_EXPORT __attribute__((visibility("default")))
 #endif
 
+#define RS_VANISHED 1e-250 /* as in equations.py */
+
 /* What is known of a process of its own: head of the block, count of the last request, looks at the other side before
    waiting otherwise, bell: the descriptor that wakes it; where vectors lie in the block; picked: where each output does
    among all. */
@@ -81,7 +83,7 @@ RS_EXPORT void rs_fmu_values(void *context, const double *arguments, double *res
     double *out = f->work + f->n_u, *zeros = out + 2 * (f->n_x + f->n_y) + f->n_x + f->n_u;
     const double *part[4];
     int rates, outputs;
-    parts(self, arguments, part, zeros);
+    parts(self, arguments, part, zeros, f->idle);
     wanted(self, &rates, &outputs);
     const rs_instance *i = ready(f, part[3]);
     if (!i || !evaluated(f, i, *part[0], part[1], part[2], rates, outputs, out) ||
@@ -111,7 +113,7 @@ static int along_states(const rs_fmu *f, const double *const *part, double *dire
     double *moved = other + n;
     for (int64_t k = 0; k < m; k++) {
         const double value = k < f->n_x ? part[1][k] : part[2][k - f->n_x];
-        const double size = value != 0.0 ? fabs(value) : k < f->n_x ? f->nominals[k] : 1.0;
+        const double size = fabs(value) > RS_VANISHED ? fabs(value) : k < f->n_x ? f->nominals[k] : 1.0;
         if (direction[k] != 0.0 && size / fabs(direction[k]) < room) room = size / fabs(direction[k]);
     }
     const double step = f->relative * room;
@@ -163,9 +165,9 @@ RS_EXPORT void rs_fmu_forward(void *context, const double *arguments, double *re
     const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u;
     double *out = f->work + f->n_u, *zeros = out + 2 * n + m, *direction = zeros + f->n_p + m + 1;
     const double *part[4], *seed[4];
-    const double *rest = parts(self, arguments, part, zeros);
+    const double *rest = parts(self, arguments, part, zeros, f->idle);
     int rates, outputs;
-    parts(self, rest + self->n_rows, seed, zeros);
+    parts(self, rest + self->n_rows, seed, zeros, zeros);
     wanted(self, &rates, &outputs);
     const int in_t = f->timed && seed[0][0] != 0.0, in_p = any(seed[3], f->n_p);
     const int in_xu = any(seed[1], f->n_x) || any(seed[2], f->n_u);
@@ -189,7 +191,7 @@ RS_EXPORT void rs_fmu_reverse(void *context, const double *arguments, double *re
     double *out = f->work + f->n_u, *zeros = out + 2 * n + m, *direction = zeros + f->n_p + m + 1;
     double *rows = direction + m, *seed = rows + n, *to = results;
     const double *part[4];
-    const double *weights = parts(self, arguments, part, zeros) + self->n_rows;
+    const double *weights = parts(self, arguments, part, zeros, f->idle) + self->n_rows;
     int rates, outputs, sound = 1;
     wanted(self, &rates, &outputs);
     for (int g = 0; g < 4 && sound; g++)

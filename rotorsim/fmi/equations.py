@@ -34,10 +34,16 @@ MOST_PROCESSES = 24  # of one block, those used last
 # search takes two (where it is, and its trial), and searches for two rivals and the diagram as given take turns.
 KEPT_POINTS = 6
 RELATIVE_STEP = 6e-6  # cube root of eps, of central differences
+VANISHED = 1e-250  # of a value: as zero, whose relative step would be none (a decay that has ended in denormal numbers)
 # In a fit: a search begins with a damping of 1e-4, and takes 10 times as much at every trial that fails; at the sixth
 # its step is shorter by a factor of 11, and one that still gets no answer ends the fit, a minute of TIMEOUT later.
 MOST_HANGS = 6
 CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
+
+
+def size_of(value: float, nominal: float = 1.0) -> float:
+    """Return the size over which a value changes: its own, or the nominal one where it has none."""
+    return abs(value) if abs(value) > VANISHED else nominal
 
 
 class FmuEquations:
@@ -65,6 +71,7 @@ class FmuEquations:
         self.timeout = timeout
         self.n_x = len(description.states)
         self.u_names, self.y_names = self._u.names, y.names
+        self.idle = np.nan_to_num(self._u.starts)  # inputs of what does not follow them: the FMU may divide by them
         self.u_scales, self.y_scales = self._u.scales, y.scales
         self.n_u, self.n_y, self.n_p = len(self._u), len(y), len(self._p)
         self._most = 2 * self.n_p + 2  # one, and two for the difference by each parameter, and one that comes
@@ -167,7 +174,7 @@ class FmuEquations:
         checked, self._checked = self._checked, True
         if checked or not self._exact:
             return
-        u = np.nan_to_num(self._u.starts)
+        u = self.idle
         told = np.full((self.n_x + self.n_y, self.n_x + self.n_u), np.nan)
         with suppress(RotorsimError):
             told = self._by_states_and_inputs(0.0, x, u, p)
@@ -213,7 +220,7 @@ class FmuEquations:
 
     def _scale(self, group: int, k: int, value: float) -> float:
         """Return the size over which an entry of t, x, u or p changes."""
-        return abs(value) or (float(self.nominals[k]) if group == 1 else 1.0)
+        return size_of(value, float(self.nominals[k]) if group == 1 else 1.0)
 
     # -- called from C -------------------------------------------------------------------------------------------------
 
@@ -235,7 +242,7 @@ class FmuEquations:
     def _bind(self, slave: Slave) -> None:
         if self.native is not None and not self.native.is_bound:
             scales, about = (self.u_scales, self.y_scales[self._smooth]), {"exact": self._exact, "timed": self.timed}
-            self.native.bind(slave, scales, self.nominals, RELATIVE_STEP, self.seen, **about)
+            self.native.bind(slave, scales, self.nominals, self.idle, RELATIVE_STEP, self.seen, **about)
 
     # -- instances -----------------------------------------------------------------------------------------------------
 

@@ -32,14 +32,14 @@ typedef struct {
 /* n: states, inputs, outputs, event indicators, parameters. exact: it offers directional derivatives; timed: it may
    follow the time itself; guarded: an event ends the equations. relative: step of central differences, of a value or
    else its nominal. Scales (n, 2): SI = factor value + offset. refs: of inputs, outputs, [x'; y] and [x; u], how many of
-   each, which with arrays are fewer than the values. seen: inputs, as the FMU has them, and event indicators where x'
-   was asked for last. work: zeros, as many as compiled.py says. */
+   each, which with arrays are fewer than the values. idle: inputs where none are given. seen: inputs, as the FMU has
+   them, and event indicators where x' was asked for last. work: zeros, as many as compiled.py says. */
 typedef struct {
     int64_t version, n_x, n_u, n_y, n_z, n_p, exact, timed, guarded, n_pairs;
     int64_t counts[4];
     void *set_time, *set_x, *get_xdot, *get_z, *set_real, *get_real, *directional;
     const uint32_t *refs[4];
-    const double *u_scales, *y_scales, *nominals;
+    const double *u_scales, *y_scales, *nominals, *idle;
     double relative;
     int64_t n_ready;
     const rs_ready *ready;
@@ -127,12 +127,13 @@ static void wanted(const rs_function *self, int *rates, int *outputs) {
     }
 }
 
-/* The parts of arguments, t, x, u, p; those that are none point to zeros. */
-static const double *parts(const rs_function *self, const double *a, const double **part, const double *zeros) {
+/* The parts of arguments, t, x, u, p; those that are none point to zeros, u to idle ones. */
+static const double *parts(const rs_function *self, const double *a, const double **part, const double *zeros,
+                           const double *idle) {
     const rs_fmu *f = self->fmu;
     const int64_t sizes[4] = {1, f->n_x, f->n_u, f->n_p};
     for (int g = 0; g < 4; g++) {
-        part[g] = self->groups[g] ? a : zeros;
+        part[g] = self->groups[g] ? a : g == 2 ? idle : zeros;
         if (self->groups[g]) a += sizes[g];
     }
     return a;

@@ -39,7 +39,7 @@ class FmuFunctions:
         return self._made_for(("slopes", None, groups), CalledSlopes)(*self._given(groups, (p,) * 4))
 
     def forcing(self, t: Any, p: Any) -> Any:
-        """Return x' and y of a linear FMU where states and inputs are zero, a column."""
+        """Return x' and y of a linear FMU where states are zero and inputs as it begins, a column."""
         rows = range(self.equations.n_x + self.equations.n_y)
         return self.call("forcing", rows, (self.equations.timed, False, False, True), (t,) * 3 + (p,))
 

@@ -1,7 +1,8 @@
 """Instances of an FMU for Model Exchange with values of its inputs and parameters, initialised.
 
-A process of its own takes some tenths of a second to start: an instance there that is not needed any more is reset and
-initialised anew, if that once gave what a new one gives.
+An instance that is not needed any more is reset and initialised anew, if that once gave what a new one gives: a process
+of its own takes some tenths of a second to start, and in this process some FMUs keep something of every instance (those
+of OpenModelica a key of the thread, of which there are 1024: what came after some hundred fits failed).
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ class Instances:
         self.texts, self.inputs, self.parameters, self.outputs = dict(texts), inputs, parameters, list(outputs)
         self.timeout = timeout
         self._fmu: Fmu | None = None
-        self._resets: bool | None = False if in_process else None  # None: not tried yet
+        self._resets: bool | None = None  # not tried yet
 
     def new(self, u: np.ndarray, p: np.ndarray) -> Slave:
         """Return a new instance with parameters p, initialised with inputs u."""

@@ -1,4 +1,4 @@
-"""The factors of an FMU that says that its equations are linear: x' = A(p) x + B(p) u + f(t; p), and y likewise."""
+"""The factors of an FMU that says that its equations are linear: x' = A(p) x + B(p) (u - u0) + f(t; p), y likewise."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.equations import CHECKED, KEPT_POINTS, FmuEquations
 
-# Of the nominal value of a state, and of 1 of an input: nominal values are often guessed from units alone. A dead zone,
-# or a limit, of a thousandth of it is met, and a cube that bends by a thousandth at a thousandfold.
+# Of the nominal value of a state, and of 1 of an input beside that with which it begins: nominal values are often guessed
+# from units alone. A dead zone, or a limit, of a thousandth of it is met, and a cube that bends by a thousandth at a
+# thousandfold.
 PROBED = (1e-3, 1.0, 1e3)
 CANCELLED = 1e-12  # of sums that cancel
 
@@ -41,7 +42,7 @@ class Slopes:
         due = eq.mode(p)[1]
         if np.isfinite(due):
             raise eq.at_work(p).event_refused(f"has a time event at t = {due:.6g} s", 0.0)
-        J = eq.jacobian(0.0, np.zeros(eq.n_x), np.zeros(eq.n_u), p, (False, True, True, False))
+        J = eq.jacobian(0.0, np.zeros(eq.n_x), eq.idle, p, (False, True, True, False))
         J = J[:, 1 : 1 + eq.n_x + eq.n_u]
         if not self._is_checked:
             self._check(J, p)
@@ -50,13 +51,13 @@ class Slopes:
     def _check(self, J: np.ndarray, p: np.ndarray) -> None:
         """Once: raise FmuError where the factors do not give x' and y, by each state and input alone and by all."""
         eq = self.equations
-        rest = eq.both(0.0, np.zeros(eq.n_x), np.zeros(eq.n_u), p)
+        rest = eq.both(0.0, np.zeros(eq.n_x), eq.idle, p)
         sizes = np.concatenate([eq.nominals, np.ones(eq.n_u)])
         for direction in (*np.eye(len(sizes)), np.where(np.arange(len(sizes)) % 2, -1.0, 1.0)):
             for size in PROBED:
                 point = size * sizes * direction
                 try:
-                    found = eq.both(0.0, point[: eq.n_x], point[eq.n_x :], p)
+                    found = eq.both(0.0, point[: eq.n_x], eq.idle + point[eq.n_x :], p)
                 except RotorsimError:  # beyond what it is made for
                     continue
                 off = np.abs(found - rest - J @ point)

@@ -45,9 +45,12 @@ def run_adaptive(
     switching = instance if isinstance(instance, SwitchingInstance) else None
     if switching is not None:
         crossing += switching.crossings()
+        crossing += switching.completions(tuple(crossing))
     options: dict[str, Any] = {"method": ADAPTIVE[method], "rtol": solver.rtol, "atol": solver.atol}
+    if switching is not None and switching.stepwise:
+        options["max_step"] = h  # what is told of every step has to be told as often as with fixed ones
     if method in IMPLICIT:
-        options["jac"] = lambda t, x: _sound(np.array(model.jacobian(t, x, instance.z, p)))
+        options["jac"] = lambda t, x: _finite(_sound(np.array(model.jacobian(t, x, instance.z, p))), t, model)
     grid = np.arange(n_steps // every + 1) * every * h
     rows = np.empty((len(grid), instance.n_y))
     counters = {"steps": 0, "evaluations": 0, "events": 0, "jacobians": 0}
@@ -63,7 +66,7 @@ def run_adaptive(
         while t < end:
             stop = min(instance.next_hit(), end)
             if switching is not None:
-                stop = min(stop, switching.next_time, t + h if switching.stepwise else end)
+                stop = min(stop, switching.next_time)
             part = solve_ivp(slope, (t, stop), x, events=crossing, dense_output=True, **options)
             counters["steps"] += len(part.t) - 1
             counters["evaluations"] += part.nfev
@@ -108,6 +111,15 @@ def _sound(values: np.ndarray) -> np.ndarray:
     """Return values, unless a part has failed while they were computed."""
     raise_failure()
     return values
+
+
+def _finite(jacobian: np.ndarray, t: float, model: Model) -> np.ndarray:
+    """Return a Jacobian, which implicit methods need to be finite."""
+    if not np.isfinite(jacobian).all():
+        block = model.block_of_state(int(np.argwhere(~np.isfinite(jacobian))[0][0]))
+        what = f"the derivatives of its equations by the states are not finite at t = {t:.6g} s"
+        raise RotorsimError(Problem(what, block, hint="rk4, dop853 and rk45 do without them"), exit_code=1)
+    return jacobian
 
 
 def _events(model: Model, p: np.ndarray, instance: Instance) -> list[Callable[[float, np.ndarray], float]]:

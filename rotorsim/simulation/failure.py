@@ -35,6 +35,16 @@ def failed_inside(error: RotorsimError, t: float) -> Verdict:
     return Verdict("stopped", f"{what}; what was computed until t = {t:.6g} s is kept{hint}", cause="part")
 
 
+def diverged_inside(model: Model, instance: Instance, error: RotorsimError, t: float, h: float) -> Verdict:
+    """Return that a part gives what is no number before a time [s], and why, where states have grown until there."""
+    failed = failed_inside(error, t)
+    why, cause = growth(model, instance, h) if getattr(error, "kind", "") == "value" else ("", "")
+    if "grows" not in why:
+        return failed
+    problem = error.problems[0]
+    return Verdict("diverged", f"diverged at t = {t:.6g} s: {problem.subject}{why} ({problem.what})", cause=cause)
+
+
 def describe_failure(
     model: Model, instance: Instance, first: int, until: int, h: float, every: int, rows: np.ndarray
 ) -> tuple[int, Verdict]:

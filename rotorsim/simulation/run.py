@@ -17,7 +17,7 @@ from rotorsim.model.called import forget_failures, raise_failure
 from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.model.input_limits import input_limits, passed_limit
 from rotorsim.model.instance import Instance, make_instance
-from rotorsim.simulation.failure import Verdict, describe_failure, failed_inside, interrupted
+from rotorsim.simulation.failure import Verdict, describe_failure, diverged_inside, interrupted
 from rotorsim.simulation.result import Result, cut
 from rotorsim.simulation.switching import SwitchingInstance, carrying_out_events
 from rotorsim.simulation.validity import Run, Stretch, judge, loose_tolerance, stretches_of
@@ -245,7 +245,7 @@ def _run_rk4(
     except RotorsimError as error:  # in a step of the stretch that was run last
         at = int((getattr(error, "time", None) or 0.0) / h + 1e-9)
         n = _sound_until(rows, first, min(max(at, first), until), every)
-        verdict = failed_inside(error, n * h)
+        verdict = diverged_inside(model, instance, error, n * h, h)
     kept = n_steps // every + 1 if verdict.status == "finished" and n_steps % every == 0 else -(-n // every)
     time = np.arange(kept) * every * h
     counters = {"steps": n, "evaluations": 4 * n}

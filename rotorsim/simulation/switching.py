@@ -71,6 +71,7 @@ class SwitchingInstance(EventSteps):
         self._held: Any = None  # the instance before the step that is taken
         self._row = np.empty((1, inner.n_y))
         self._point: float | None = None  # time at which the parts were asked last, with the present states
+        self._told, self._wants = -np.inf, False  # last completed step of a method of its own steps; it wants an event
 
     @property
     def x(self) -> np.ndarray:
@@ -105,6 +106,7 @@ class SwitchingInstance(EventSteps):
         for mode in self.modes:
             mode.begin()
         self.inner.start(t)
+        self._told, self._wants = t, False
         self.next_time = min(mode.due for mode in self.modes)
         self.sides = np.concatenate([np.where(mode.sides(), 1.0, -1.0) for mode in self.modes])
         if self.next_time <= t or self._crossed(self._present(t)).any():
@@ -190,11 +192,38 @@ class SwitchingInstance(EventSteps):
             one.terminal, one.direction = True, -1.0
         return found
 
+    def completions(self, others: Sequence[Any]) -> list[Callable[[float, np.ndarray], float]]:
+        """Return a function of t and x that tells parts of steps, and falls through zero where one wants an event.
+
+        To be asked behind each step, after others, of which one that passes zero (of scipy's form) cuts it short.
+        """
+        before: list[float] = []
+
+        def wanted(t: float, x: np.ndarray) -> float:
+            if t >= self._told:
+                now = [other(t, x) for other in others]
+                cut = any(
+                    a * b <= 0 and (a >= 0 or getattr(other, "direction", 0) >= 0)
+                    for other, a, b in zip(others, before, now, strict=False)
+                )
+                before[:] = now
+                if t > self._told and not cut:
+                    self.inner.x[:] = x
+                    self._present(t)
+                    self._told, self._wants = t, self._completed(t)
+            return (
+                -1.0 if self._wants and t >= self._told else 1.0
+            )  # looking for the zero, the method asks within a step
+
+        wanted.terminal, wanted.direction = True, -1.0  # type: ignore[attr-defined]
+        return [wanted] if self.stepwise else []
+
     def carry_out_due(self, t: float, x: np.ndarray, h: float) -> np.ndarray:
         """Carry out what is due at t with states x, if anything is; return the states then. h: step of the diagram."""
         self.inner.x[:] = x
         crossed = self._crossed(self._present(t))
-        wants = self._completed(t)
+        wants = self._wants or (t > self._told and self._completed(t))
+        self._told, self._wants = t, False
         if crossed.any() or wants or self.next_time <= t + rounding(t, h):
             self._note(crossed, t, h)
             self._events(t, rounding(t, h))

@@ -9,7 +9,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.model.load import load
 from tests.fmi.plant import library, make_fmu
 
-__all__ = ["MODELS", "alone", "events_fmu"]
+__all__ = ["MODELS", "alone", "description2", "events_fmu"]
 
 MODELS = ("ball", "relay", "clock", "chatter", "signal", "late", "stages", "two")
 PARAMETERS = {
@@ -27,7 +27,7 @@ PARAMETERS = {
 
 def events_fmu(folder: Path, version: str = "2.0", *, saves: bool = True, reports: bool = True) -> Path:
     """Write the FMU. saves: its state can be saved; reports: it wants to be told of completed steps."""
-    text = {"1.0": _description1, "2.0": _description2, "3.0": _description3}[version](saves, reports)
+    text = {"1.0": _description1, "2.0": description2, "3.0": _description3}[version](saves, reports)
     file = folder / f"events{version[0]}{'' if saves else 'n'}{'' if reports else 'q'}.fmu"
     return make_fmu(file, version, description=text, library_bytes=library(version, "events"))
 
@@ -74,7 +74,8 @@ def _description1(_saves: bool, _reports: bool) -> str:
     )
 
 
-def _description2(saves: bool, reports: bool) -> str:
+def description2(saves: bool, reports: bool) -> str:
+    """Return the model description of FMI 2.0."""
     rows = [
         (0, "time", 'causality="independent"', "Real", ""),
         (1, "x", 'causality="output" initial="exact"', "Real", 'start="1"'),

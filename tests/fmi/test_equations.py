@@ -17,7 +17,7 @@ from rotorsim.cosim.cosimulation import cosimulate_diagram
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.functions import functions_of
-from rotorsim.fmi.runtime.slave import Slave
+from rotorsim.fmi.runtime.slave import Fmu, Slave
 from rotorsim.linear.eigenmodes import modes
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
@@ -26,7 +26,7 @@ from rotorsim.settled.periodic import periodic
 from rotorsim.simulation.run import simulate
 from tests.fmi.conftest import Make
 from tests.fmi.events import alone, events_fmu
-from tests.fmi.plant import FAULTS, make_fmu
+from tests.fmi.plant import FAULTS, floats_only, make_fmu
 
 BOTH = pytest.mark.parametrize("version", ["2.0", "3.0"])
 REPLACED = pytest.mark.parametrize("block", ["rotor", "controller"])
@@ -171,6 +171,38 @@ def test_one_file_in_two_blocks_with_parameters_of_their_own(plants: Path, versi
     for name, right in (("it.y", x[0]), ("other.y", x[2])):
         y = found.signals[name].reshape(len(found.time), -1)[:, 0]
         np.testing.assert_allclose(y, right, atol=1e-8)
+
+
+@pytest.mark.parametrize("in_process", [True, False])
+def test_an_input_that_is_wired_does_not_begin_with_its_start_value(tmp_path: Path, in_process: bool) -> None:
+    """u = 2 of a wire, 3 at the start: x'' = 2 - 100 x - x' / 2. y, said not to follow u, is asked for with u = 3."""
+    text = floats_only().replace('start="0" unit="m"', 'start="3" unit="m"')
+    make_fmu(tmp_path / "plant2.fmu", description=text)
+    blocks = {"in": {"type": "constant", "parameters": {"value": 2.0}}}
+    wires = [["in.output", "it.u"]]
+    found = simulate(of_plant(tmp_path, "2.0", blocks, wires, in_process=in_process, gain=1.0))
+    np.testing.assert_allclose(found.signals["it.y"], 0.02 + 0.98 * decay(found.time) + 3, atol=1e-7)
+
+
+def test_in_this_process_instances_are_used_again(plants: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A foreign library may keep something of every instance that it makes until there is no more of it."""
+    made: list[Slave] = []
+    new = Fmu.instantiate
+    monkeypatch.setattr(Fmu, "instantiate", lambda self, *how: made.append(new(self, *how)) or made[-1])
+    model = compile_diagram(of_plant(plants))
+    most = functions_of(model.diagram.nodes["it"].block).equations._most
+    for k in range(2 * most):
+        p = model.parameter_vector({"it.stiffness": 101.0 + k})
+        assert model.rhs(0.0, np.array([1.0, 0.0]), model.z0(p), p)[1] == -101.0 - k
+    assert len(made) <= most + 1  # one more tells whether a reset is as good
+
+
+def test_an_input_that_is_taken_at_events_only_hides_the_equations(plants: Path) -> None:
+    blocks = {"in": {"type": "constant", "parameters": {"value": 1.0}}}
+    diagram = of_plant(plants, "2.0", blocks, [["in.output", "it.level"]])
+    with pytest.raises(RotorsimError, match=r"it: is an FMU that takes its input level at events only"):
+        modes(diagram)
+    assert np.abs(simulate(diagram)["it.y"] - decay(simulate(diagram).time)).max() < 1e-7  # co-simulated
 
 
 FAULTY = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from rotorsim.settled.periodic import periodic
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
 from tests.fmi.conftest import Make
-from tests.fmi.events import alone, events_fmu
+from tests.fmi.events import alone, description2, events_fmu
+from tests.fmi.plant import floats_only, library, make_fmu
 from tests.fmi.test_equations import of_plant, with_fmu
 
 G, E, H = 9.81, 0.8, 1e-2
@@ -58,6 +60,27 @@ def test_a_ball_bounces_and_what_follows_it_too(file: Path, method: str) -> None
     fine = np.linspace(0.0, 2.0, 2_000_001)
     area = np.concatenate([[0.0], np.cumsum((ball(fine)[1:] + ball(fine)[:-1]) / 2 * np.diff(fine))])
     np.testing.assert_allclose(found["sum.output"], np.interp(t, fine, area), atol=1e-6)
+
+
+@METHODS
+def test_who_is_told_of_steps_changes_none(tmp_path: Path, method: str) -> None:
+    """A ball that wants to be told bounces as one that does not; what asks for an event behind a step has it there."""
+    told = events_fmu(tmp_path)
+    found = simulate(alone(told, "ball", step=H, stop=2.0), method=method)
+    np.testing.assert_allclose(found["it.x"], ball(found.time), atol=1e-9)
+    found = simulate(alone(told, "late", step=H, stop=4.0, high=1.5), method=method)
+    assert (found.status, found["it.count"][-1]) == ("finished", 3.0)  # x = 1 + t is 1.5, 3.0 and 4.5, or a step later
+    late = found["it.when"][-1] - 3.5
+    assert 0 <= late <= H * (1 + 1e-6)
+
+
+def test_a_method_goes_on_where_steps_are_told(tmp_path: Path, file: Path) -> None:
+    """One that begins anew at each step begins with small ones: BDF took 18 for each step of the diagram."""
+    steps = [
+        simulate(alone(one, "two", step=0.05, stop=5.0, low=-9.0), method="bdf").counters["steps"]
+        for one in (file, events_fmu(tmp_path))
+    ]
+    assert steps[1] <= steps[0] + 5.0 / 0.05
 
 
 def test_two_balls_of_one_file_have_modes_of_their_own(file: Path) -> None:
@@ -104,6 +127,37 @@ def test_a_wall_in_a_loop(tmp_path: Path, method: str) -> None:
     right = np.array(rows)[:n]
     atol = {"rk4": 1e-9, "dop853": 1e-7, "radau": 1e-6}[method]
     np.testing.assert_allclose(np.column_stack([found["it.x"], found["lag.output"]])[:n], right, atol=atol)
+
+
+def test_time_events_without_states_are_carried_out(tmp_path: Path) -> None:
+    """Its only output changes at events: no equations between them, but a co-simulation."""
+    text = re.sub(r'<Derivatives>.*</Derivatives>| derivative="\d"', "", description2(saves=True, reports=False))
+    text = text.replace('Indicators="1"', 'Indicators="0"').replace('causality="output" initial="exact"', "")
+    text = text.replace('<Unknown index="2" dependencies=""/>', "").replace('<Unknown index="9" dependencies=""/>', "")
+    text = text.replace('"when" causality="output" variability="discrete"', '"when"')
+    file = make_fmu(tmp_path / "timer.fmu", description=text, library_bytes=library("2.0", "events"))
+    document = {**alone(events_fmu(tmp_path), "clock", step=H, stop=1.0, tick=0.25).document, "record": ["it.count"]}
+    document["blocks"]["it"]["file"] = file.name
+    found = simulate(load(document, folder=tmp_path, trust_blocks=True))
+    np.testing.assert_array_equal(found["it.count"], np.floor(found.time / 0.25 + 1e-9))
+
+
+@pytest.mark.parametrize("in_process", [True, False])
+def test_differences_of_denormal_numbers(tmp_path: Path, in_process: bool) -> None:
+    """A decay ends in numbers of which a part is none: differences take the step of a zero there."""
+    make_fmu(tmp_path / "plant2.fmu", description=floats_only().replace('providesDirectionalDerivative="true"', ""))
+    model = compile_diagram(of_plant(tmp_path, in_process=in_process))
+    found = np.array(model.jacobian(0.0, np.array([1e-320, 2.0]), model.z0(), model.p0))
+    np.testing.assert_allclose(found, [[0.0, 1.0], [-100.0, -0.5]], atol=1e-7)
+
+
+def test_growth_in_steps_that_are_too_large_is_told(tmp_path: Path) -> None:
+    make_fmu(tmp_path / "plant2.fmu")
+    found = simulate(of_plant(tmp_path, stiffness=1e6, damping=5000.0), stop=40.0, step=0.1)
+    assert (found.status, found.cause) == ("diverged", "step")
+    assert found.message.partition(": ")[2].startswith(
+        "it grows without bound: the step 0.1 s is too large, RK4 is stable here up to 0.000581 s (gives der(v) = -inf"
+    )
 
 
 def test_a_run_leaves_the_equations_as_they_begin(file: Path) -> None:

@@ -55,9 +55,9 @@ class Wiring:
         for name, draft in self.drafts.items():
             self._report_unwired(name, draft)
             inputs = draft.template.inputs
-            optional = frozenset(port for port in draft.wired if port in inputs and inputs[port].optional)
-            if optional:
-                draft.template = templates.of(draft.cls, draft.options, optional)
+            told = frozenset(p for p in draft.wired if p in inputs and (inputs[p].optional or inputs[p].additive))
+            if told:
+                draft.template = templates.of(draft.cls, draft.options, told)
 
     def _cut(self, end: Endpoint) -> None:
         """Let an input read zero whose wire has been taken out."""

@@ -275,6 +275,7 @@ def _model(k: int, one: Nested, at_x: int, at_z: int) -> tuple[list[str], str]:
         "u_scales": equations.u_scales.ravel(),
         "y_scales": y_scales.ravel(),
         "starts": np.concatenate([p.starts, u.starts]),
+        "idle": equations.idle,
         "scales": np.concatenate([p.scales, u.scales]).ravel(),
         "constants": constants,
     }

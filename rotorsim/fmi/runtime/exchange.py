@@ -221,7 +221,8 @@ class Slave(Instance):
 
     def event_refused(self, what: str, t: float) -> FmuError:
         """Return the failure of equations that hold between events alone."""
-        hint = "`rotorsim run` carries events out; here there are equations between events alone"
+        who = "run" if self.description.states else "cosim"
+        hint = f"`rotorsim {who}` carries events out; here there are equations between events alone"
         return self.step_failed("-", what, "event", t, hint)
 
     def last_event(self) -> EventUpdate:

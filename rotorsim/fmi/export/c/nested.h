@@ -237,7 +237,7 @@ static void rf_call(const double *p, int k, const double *arguments, double *res
   rf_inner *n = i->inner + rf_calls[k].inner;
   const double *part[4];
   int rates, outputs;
-  parts(self, arguments, part, n->zeros);
+  parts(self, arguments, part, n->zeros, n->fmu.idle);
   wanted(self, &rates, &outputs);
   if (i->status < RF_DISCARD && rf_calls[k].begins) {
     if (!rf_begin_inner(n, part[3], part[2])) {
@@ -340,7 +340,7 @@ static int rf_create_inner(rf_inner *n, const char *root) {
   f->version = m->version, f->n_x = m->n_x, f->n_u = m->n_u, f->n_y = m->n_y, f->n_z = m->n_z, f->n_p = m->n_p;
   f->counts[0] = m->counts[0], f->counts[1] = m->counts[1];
   f->refs[0] = m->u_refs, f->refs[1] = m->y_refs;
-  f->u_scales = m->u_scales, f->y_scales = m->y_scales;
+  f->u_scales = m->u_scales, f->y_scales = m->y_scales, f->idle = m->idle;
   *(rf_function *)(void *)&f->set_time = rf_find(n, "SetTime");
   *(rf_function *)(void *)&f->set_x = rf_find(n, "SetContinuousStates");
   *(rf_function *)(void *)&f->get_xdot = rf_find(n, two ? "GetDerivatives" : "GetContinuousStateDerivatives");

@@ -15,12 +15,12 @@ typedef struct {
 } rf_setting;
 
 /* counts: of value references of inputs and outputs, which with arrays are fewer than the values. scales (n, 2): SI =
- * factor value + offset. starts, known: SI, of [parameters; inputs]; constants: as they are set. at_x: place of its states. */
+ * factor value + offset. starts, known: SI, of [parameters; inputs]; idle: inputs where none are given; constants: as they are set. at_x: place of its states. */
 typedef struct {
   const char *block, *library, *resources, *token;
   int version, reports, at_x, at_z, n_x, n_u, n_y, n_z, n_p, counts[2], n_settings, n_constants, n_categories, largest;
   const uint32_t *u_refs, *y_refs;
-  const double *u_scales, *y_scales, *starts, *scales, *constants;
+  const double *u_scales, *y_scales, *starts, *idle, *scales, *constants;
   const rf_setting *settings;
   const char *const *texts, *const *categories;
 } rf_model;
