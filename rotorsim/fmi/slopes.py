@@ -9,9 +9,9 @@ import numpy as np
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.equations import CHECKED, KEPT_POINTS, FmuEquations
 
-# Of the nominal value of a state, and of 1 of an input beside that with which it begins: nominal values are often guessed
-# from units alone. A dead zone, or a limit, of a thousandth of it is met, and a cube that bends by a thousandth at a
-# thousandfold.
+# Of the nominal value of a state, and of 1 of an input beside that with which it begins: nominal values are often
+# guessed from units alone. A dead zone, or a limit, of a thousandth of it is met, and a cube that bends by a thousandth
+# at a thousandfold.
 PROBED = (1e-3, 1.0, 1e3)
 CANCELLED = 1e-12  # of sums that cancel
 
