@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -136,27 +137,44 @@ def test_one_value_of_the_parameters_is_asked_for_once(fmu: Make, monkeypatch: p
         np.testing.assert_allclose(found[k, :, 0], np.array(expected).ravel(), rtol=1e-12)
 
 
-def boasting(fmu: Make, target: Path) -> Path:
-    """Write the spring as an FMU that says that it is linear."""
-    file = fmu(SPRUNG, blocks=INSIDE)
+def rewritten(file: Path, target: Path, change: Callable[[str], str]) -> Path:
+    """Write an FMU with another model description."""
     with zipfile.ZipFile(file) as given, zipfile.ZipFile(target, "w") as made:
         for name in given.namelist():
             data = given.read(name)
-            if name == "modelDescription.xml":
-                text = data.decode()
-                for listed in set(re.findall(r'<Unknown index="\d+" dependencies="([\d ]*)" ?/>', text)):
-                    kinds = " ".join("fixed" for _ in listed.split())
-                    text = text.replace(
-                        f'dependencies="{listed}" />', f'dependencies="{listed}" dependenciesKind="{kinds}" />'
-                    )
-                data = text.encode()
-            made.writestr(name, data)
+            made.writestr(name, change(data.decode()).encode() if name == "modelDescription.xml" else data)
     return target
+
+
+def boasting(text: str) -> str:
+    """Say that all is linear."""
+    listed = re.compile(r'dependencies="([\d ]+)" />')
+    return listed.sub(lambda m: f'{m[0][:-3]} dependenciesKind="{" ".join("fixed" for _ in m[1].split())}" />', text)
+
+
+def test_inputs_begin_where_the_fmu_says(fmu: Make, tmp_path: Path) -> None:
+    """What does not follow an input is asked for with the value with which it begins, which need not be zero."""
+    file = fmu("jeffcott", blocks=["rotor"])
+
+    def change(text: str) -> str:
+        force = re.search(r'name="rotor\.force\[1\]".*?start="0\.0"', text, re.S)
+        assert force is not None
+        return text.replace(force[0], force[0].replace('start="0.0"', 'start="3.0"'))
+
+    moved = rewritten(file, tmp_path / "moved.fmu", change)
+    document = {**load("jeffcott").document, "blocks": dict(load("jeffcott").document["blocks"]), "identify": {}}
+    document["blocks"]["rotor"] = {"type": "fmu", "file": str(moved), "parameters": {"in_process": True}}
+    diagram = load(document, trust_blocks=True)
+    linear, called = compile_diagram(diagram), model_for_runs(diagram)
+    assert functions_of(diagram.nodes["rotor"].block).equations.idle.tolist() == [3.0, 0.0]
+    x = 1e-5 * np.arange(1, linear.n_x + 1)
+    found, expected = (np.array(one.rhs(0.01, x, one.z0(), one.p0)).ravel() for one in (linear, called))
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
 def test_one_that_is_not_what_it_says_ends_an_analysis(fmu: Make, tmp_path: Path) -> None:
     """The cube is seen at its largest probe, a thousand times its nominal value of 1e-5."""
-    file = boasting(fmu, tmp_path / "sprung.fmu")
+    file = rewritten(fmu(SPRUNG, blocks=INSIDE), tmp_path / "sprung.fmu", boasting)
 
     def diagram(**values: Any) -> Diagram:
         block = {"type": "fmu", "file": str(file), "parameters": {"in_process": True, **values}}
