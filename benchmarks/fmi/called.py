@@ -21,7 +21,7 @@ from benchmarks.harness import Line, at_most
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.linear.eigenmodes import modes
-from rotorsim.model.compiled import compile_diagram
+from rotorsim.model.compiled import model_for_runs
 from rotorsim.model.instance import make_instance
 from rotorsim.model.load import load
 from rotorsim.settled.periodic import periodic
@@ -45,7 +45,7 @@ def replaced(folder: Path, block: str, version: str, *, in_process: bool, interf
 
 def microseconds(diagram: Diagram, steps: int) -> float:
     """Return the least time of an RK4 step [us] of several runs."""
-    model = compile_diagram(diagram)
+    model = model_for_runs(diagram)
     instance = make_instance(model, [], model.p0)
     instance.start(0.0)
     rows, least = np.empty((steps + 1, 0)), np.inf
