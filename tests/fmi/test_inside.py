@@ -22,8 +22,14 @@ def found(tmp_path: Path) -> Any:
     make_fmu(tmp_path / "plant2.fmu")
     force = {"type": "constant", "parameters": {"value": 1.0}}
     gauge = {"type": "gain"}
-    wires = [["force.output", "it.u"], ["it.y", "gauge.input"]]
-    diagram = of_plant(tmp_path, blocks={"force": force, "gauge": gauge}, wires=wires)
+    other = {"type": "constant", "parameters": {"value": 2.0}}
+    wires = [
+        ["force.output", "it.u"],
+        ["other.output", "it.u"],
+        ["it.y", "gauge.input"],
+        ["other.output", "beside.input"],
+    ]
+    diagram = of_plant(tmp_path, blocks={"force": force, "gauge": gauge, "other": other, "beside": gauge}, wires=wires)
     made = SimpleNamespace(_as_given=diagram, verdict="missing_physics")
     made.inside = lambda spot: Diagnosis.inside(made, spot)  # type: ignore[arg-type]
     return made
@@ -35,6 +41,7 @@ def test_places_next_to_an_fmu(found: Any) -> None:
     assert found.inside(Spot("force", "output")) == ("it",)
     assert found.inside(Spot("it", "y", side="reading")) == ()
     assert found.inside(Spot("gauge", "output")) == ()
+    assert found.inside(Spot("other", "output")) == ()  # another block takes it, too
 
 
 def test_it_is_said_of_the_likeliest_places(found: Any) -> None:

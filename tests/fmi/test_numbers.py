@@ -13,6 +13,7 @@ import pytest
 from rotorsim.cosim import coupled_periodic
 from rotorsim.cosim.coupled_periodic import _comes_to, _drifting, _limit, _settle, periodic_coupled
 from rotorsim.errors import Place
+from rotorsim.fmi import equations
 from rotorsim.fmi.equations import FmuEquations
 from rotorsim.fmi.functions import functions_of
 from rotorsim.fmi.runtime.binding import Log
@@ -178,3 +179,11 @@ def test_of_a_longer_flood_only_warnings_are_kept() -> None:
     assert lines[500:502] == ["20002 more messages came at once and are lost", "20501"]
     assert lines[-2:] == ["20999", "21001"]
     assert log.counts == {"OK": 21_001, "Warning": 1}
+
+
+def test_what_has_vanished_in_c_has_in_python() -> None:
+    """A decay that has ended in denormal numbers counts as zero: its relative step would be none."""
+    text = (Path(equations.__file__).parent / "equations.c").read_text(encoding="utf-8")
+    assert "#define RS_VANISHED 1e-250 " in text
+    assert equations.VANISHED == 1e-250
+    assert (equations.size_of(1e-300, 2.0), equations.size_of(-3e-9, 2.0)) == (2.0, 3e-9)

@@ -133,7 +133,8 @@ class Diagnosis(Shown):
         diagram = self._as_given
         port = spot.block, spot.port
         behind = [wire.target.block for wire in diagram.wires if (wire.source.block, wire.source.port) == port]
-        names = dict.fromkeys([spot.block, *behind]) if spot.side != "reading" else {}
+        alone = behind if len({*behind}) == 1 else []  # else what is inside one of them does not reach the others
+        names = dict.fromkeys([spot.block, *alone]) if spot.side != "reading" else {}
         return tuple(name for name in names if name in diagram.nodes and diagram.nodes[name].block.opaque)
 
     @cached_property
