@@ -224,6 +224,13 @@ _CATEGORIES = {  # folder of built-in block files -> category of its blocks, unl
     "rotorsim.blocks.faults": "fault",
 }
 
+_PORTS_OF_ROLES = (  # role, an input of these names, an output of these
+    ("rotor", {"force", "current"}, {"displacement"}),
+    ("controller", {"displacement", "velocity"}, {"current"}),
+    ("bearing", {"displacement", "velocity"}, {"force"}),
+    ("bearing", {"current"}, {"force", "displacement"}),
+)
+
 
 class Block:
     """Base of all blocks: subclasses declare ports, parameters and states and define ``equations``.
@@ -233,6 +240,8 @@ class Block:
     ``sample_time`` names the parameter that holds the sample period [s] of a discrete block; a parameter
     declared as ``sample_time`` is that one.
     ``category`` is that of the folder of a built-in block, "elementary" elsewhere, unless the block says it.
+    ``roles`` are the parts of a machine that it may be: its category; of a block without one (an FMU, a user's own)
+    those whose inputs and outputs it has, by their names: a plant from current to displacement is rotor and bearing.
     ``source`` cites where the equations are from. Subclasses are final: reuse by functions.
     """
 
@@ -240,6 +249,7 @@ class Block:
     sample_time: ClassVar[Any] = None
     source: ClassVar[str] = ""
     category: ClassVar[str] = "elementary"
+    roles: ClassVar[frozenset[str]] = frozenset()
     faults: ClassVar[tuple[Any, ...]] = ()  # rotorsim.fault.Fault: physics that a diagnosis may add by this block
     refinement: ClassVar[str | None] = None  # option that makes the block more exact as it grows (a finer mesh)
     no_signals: ClassVar[Mapping[str, str]] = {}  # names that may be taken for outputs, and what they are
@@ -268,6 +278,9 @@ class Block:
             setattr(cls, kind, {**getattr(cls, kind), **{d.name: d for d in declared if isinstance(d, type_)}})
         if "sample_time" in cls.parameters and not isinstance(cls.sample_time, str):
             cls.sample_time = "sample_time"  # the parameter took the name of this class attribute
+        known = cls.category != "elementary" and not cls.opaque
+        fitting = {role for role, to, of in _PORTS_OF_ROLES if to & cls.inputs.keys() and of & cls.outputs.keys()}
+        cls.roles = frozenset({cls.category} | (set() if known else fitting))
 
     def __init__(self, option_values: Mapping[str, Any] | None = None, wired: frozenset[str] = frozenset()) -> None:
         """Hold option values (complete, already validated) and the names of the wired inputs."""

@@ -125,7 +125,7 @@ def _with_fmu(old: dict[str, Any], block: str, given: dict[str, Any], folder: Pa
     file, hint = str(given["file"]), f"it is taken from where you stand, {Path.cwd()}"
     refuse_if(os.path.isdir(file), f"--set file={file}: is a folder", hint=hint)
     refuse_if(not os.path.isfile(file), f"--set file={file}: there is no such file", hint=hint)
-    declared = block_class(file)
+    declared = block_class(file, given)
     known = declared.parameters.keys() | declared.options.keys()
     before = old["blocks"][block].get("parameters", {})
     rest = {name: value for name, value in before.items() if name in known} | given

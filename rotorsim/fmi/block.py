@@ -33,7 +33,10 @@ from rotorsim.fmi.ports import (
     TAKEN,
     FmuOption,
     FmuPort,
+    Named,
+    check_named,
     declared_option,
+    named_ports,
     options_of,
     port_name,
     ports_of,
@@ -47,7 +50,11 @@ from rotorsim.fmi.runtime.slave import TIMEOUT, describe_fmu
 
 @lru_cache(maxsize=64)
 def _made(
-    path: Path, _stamp: tuple[int, int], sizes: tuple[tuple[str, int], ...] = (), signals: frozenset[str] = frozenset()
+    path: Path,
+    _stamp: tuple[int, int],
+    sizes: tuple[tuple[str, int], ...] = (),
+    signals: frozenset[str] = frozenset(),
+    named: Named = (),
 ) -> type[Block]:
     if sizes:  # given by the names of the block
         prefix = prefix_of(_made(path, _stamp).fmu_description)  # type: ignore[attr-defined]
@@ -56,8 +63,9 @@ def _made(
     else:
         description = describe_fmu(path)
     prefix = prefix_of(description)
-    inputs = ports_of(description, ("input",), prefix)
-    outputs = ports_of(description, ("output",), prefix)
+    check_named(description, named)
+    inputs = ports_of(description, ("input",), prefix, named=named)
+    outputs = ports_of(description, ("output",), prefix, named=named)
     if not signals <= outputs.keys():
         inside = ports_of(description, ("local", "calculatedParameter", "parameter", "independent"), prefix)
         outputs |= {name: port for name, port in inside.items() if name in signals - outputs.keys()}
@@ -98,6 +106,7 @@ def _made(
             True, kind=bool, doc="take its description at its word where that says that its equations are linear"
         ),
         "in_process": Option(False, kind=bool, doc="load its code into this process: faster, but a crash is ours"),
+        "ports": Option({}, kind=dict, doc="inputs and outputs by the names that their ports get, a list for a vector"),
         "timeout": Option(TIMEOUT, kind=(int, float), low=1, doc="for one answer of a process of its own [s]"),
     }
     for port in inputs.values():
@@ -306,5 +315,6 @@ def block_class(
         and value != options[name].default
     )
     own: Mapping[str, FmuPort] = made.fmu_outputs  # type: ignore[attr-defined]
-    made = _made(path, stamp, sizes, signals) if sizes or not signals <= own.keys() else made
+    named = named_ports((values or {}).get("ports", {}))
+    made = _made(path, stamp, sizes, signals, named) if sizes or named or not signals <= own.keys() else made
     return _of_block(made, name) if name else made  # type: ignore[arg-type]

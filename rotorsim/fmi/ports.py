@@ -1,7 +1,8 @@
 """Ports, parameters and options of a block of type ``fmu``: the variables of an FMU, grouped.
 
 Variables are grouped by their structured names: ``rotor.force[1]``, ``rotor.force[2]`` are a port of shape 2. A first
-part that all inputs and outputs share ("rotor.") is left out; other dots become underscores.
+part that all inputs and outputs share ("rotor.") is left out; other dots become underscores. The option ``ports``
+groups and names them otherwise.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from typing import Any
 import numpy as np
 
 from rotorsim.block import Option, Shape
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.fmi.description.model import FLOATS, NUMERIC, Entry, FmuVariable, ModelDescription
 
 _INDEX = re.compile(r"(.*?)\[(\d+(?:,\d+)*)\]")
-TAKEN = ("file", "interface", "in_process", "linear", "timeout")  # options of the block: a value of the FMU gets "_"
+TAKEN = ("file", "interface", "in_process", "linear", "ports", "timeout")  # options: a value of the FMU gets "_"
+Named = tuple[tuple[str, tuple[str, ...] | str], ...]  # names of ports, variables of each: `named_ports`
 _WORDS: dict[str, type] = {"Boolean": bool, "String": str}  # types whose values are given as such
 
 
@@ -66,19 +68,75 @@ class FmuOption:
         return self.items.get(value, value) if isinstance(value, str) else value
 
 
+def named_ports(given: Any) -> Named:
+    """Return the option ``ports``, {name of a port: variable, or list of variables}. Raises RotorsimError."""
+    form = '{"displacement": ["x", "y"], "force": ["F_x", "F_y"]}: variables of the FMU, by the names of ports'
+    if not isinstance(given, Mapping):
+        raise RotorsimError(Problem("must be an object", "ports", hint=form))
+    named: list[tuple[str, tuple[str, ...] | str]] = []
+    problems = []
+    for name, members in given.items():
+        texts = members if isinstance(members, list | tuple) else [members]
+        if not texts or not all(isinstance(text, str) for text in texts):
+            problems.append(Problem(f"'{name}' is no variable or list of variables", "ports", hint=form))
+        elif not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII):
+            hint = "letters, digits and _, not a digit first"
+            problems.append(Problem(f"'{name}' cannot be the name of a port", "ports", hint=hint))
+        else:
+            named.append((name, members if isinstance(members, str) else tuple(members)))
+    every = [text for _, members in named for text in ((members,) if isinstance(members, str) else members)]
+    twice = [text for text in dict.fromkeys(every) if every.count(text) > 1]
+    problems += [Problem(f"the variable '{text}' is named twice", "ports", hint="each once") for text in twice]
+    if problems:
+        raise RotorsimError(*problems)
+    return tuple(named)
+
+
+def check_named(description: ModelDescription, named: Named) -> None:
+    """Raise RotorsimError where the option ``ports`` names what are no inputs or outputs, or both in one port."""
+    sides = {side: [v.name for v in description.by_causality(side)] for side in ("input", "output")}
+    side_of = {name: side for side, names in sides.items() for name in names}
+    side_of |= {entry.name: side for side, names in sides.items() for n in names for entry in description.entries(n)}
+    side_of |= {match[1]: side for name, side in [*side_of.items()] if (match := _INDEX.fullmatch(name))}
+    problems = []
+    for name, members in named:
+        texts = (members,) if isinstance(members, str) else members
+        for text in (text for text in texts if text not in side_of):
+            what = f"the FMU has no input or output '{text}'"
+            problems.append(Problem(what, "ports", hint=near_miss(text, [*side_of])))
+        if len({side_of[text] for text in texts if text in side_of}) > 1:
+            what = f"'{name}' has inputs and outputs"
+            problems.append(Problem(what, "ports", hint="a port is one or the other"))
+    if problems:
+        raise RotorsimError(*problems)
+
+
 def ports_of(
-    description: ModelDescription, causalities: Sequence[str], prefix: str, types: Sequence[str] = NUMERIC
+    description: ModelDescription,
+    causalities: Sequence[str],
+    prefix: str,
+    types: Sequence[str] = NUMERIC,
+    named: Named = (),
 ) -> dict[str, FmuPort]:
     """Return the variables of some causalities grouped to ports: numbers; flags as 0 and 1."""
-    groups: dict[tuple[str, int], list[tuple[tuple[int, ...], Entry]]] = {}
+    lists = {text: (name, (k,)) for name, own in named if not isinstance(own, str) for k, text in enumerate(own, 1)}
+    renamed = {text: name for name, text in named if isinstance(text, str)}
+    groups: dict[tuple[str, str, int], list[tuple[tuple[int, ...], Entry]]] = {}
     usable = [v for v in description.by_causality(*causalities) if v.type in types and not v.clocked]
     for entry in (entry for variable in usable for entry in description.entries(variable.name)):
         match = _INDEX.fullmatch(entry.name)
-        index = tuple(map(int, match[2].split(","))) if match else ()
-        groups.setdefault((match[1] if match else entry.name, len(index)), []).append((index, entry))
+        base, index = (match[1], tuple(map(int, match[2].split(",")))) if match else (entry.name, ())
+        if entry.name in lists:
+            name, index = lists[entry.name]
+        elif entry.name in renamed:
+            name, index = renamed[entry.name], ()
+        else:
+            name = renamed.get(base, "")
+        key = (name, "", len(index)) if name else (port_name(base, prefix), base, len(index))
+        groups.setdefault(key, []).append((index, entry))
     found: dict[str, FmuPort] = {}
-    for (base, _), members in groups.items():
-        port = _port(description, port_name(base, prefix), sorted(members, key=lambda member: member[0]))
+    for (name, _, _), members in groups.items():
+        port = _port(description, name, sorted(members, key=lambda member: member[0]))
         if port.name in found and "local" not in causalities:  # those inside need no name
             what = f"two variables would be called '{port.name}'"
             raise RotorsimError(Problem(what, description.name, description.place))

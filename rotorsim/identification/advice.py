@@ -115,7 +115,7 @@ def _other_gains(diagram: Diagram, base: Experiment, p: np.ndarray) -> Iterator[
     """Yield changes of the scalar gains of every controller: one after the other, and the first with the last."""
     free = {slot for item in base.free for slot in slots_of(base.model, item)}
     for block, node in diagram.nodes.items():
-        if node.block.category != "controller":
+        if "controller" not in node.block.roles:
             continue
         gains = [k for k, v in node.values.items() if v.ndim == 0 and float(v) != 0.0]
         gains = [k for k in gains if base.model.parameters[f"{block}.{k}"].start not in free]

@@ -14,12 +14,15 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.called import raise_failure
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
-from rotorsim.simulation.failure import Verdict, failed_inside, growth, interrupted
+from rotorsim.simulation.failure import Verdict, diverged_inside, failed_inside, growth, interrupted
 from rotorsim.simulation.switching import SwitchingInstance
 
 IMPLICIT = {"radau", "bdf", "lsoda"}
 MOST_EVENTS = 1_000_000
 AT = 1e-9  # of a step of the diagram: how close to an event is at it
+LARGEST_STATE = (
+    1e100  # of a state: products of two with any coefficient are numbers, which methods of variable step rely on
+)
 
 
 def run_adaptive(
@@ -41,7 +44,7 @@ def run_adaptive(
         raise RotorsimError(Problem(what=f"unknown method '{method}'", subject="solver.method", hint=f"one of {known}"))
     solver = model.diagram.solver
     p, end = instance.p, n_steps * h  # type: ignore[attr-defined]
-    crossing = _events(model, p, instance)
+    crossing = [_limit(), *_events(model, p, instance)]
     switching = instance if isinstance(instance, SwitchingInstance) else None
     if switching is not None:
         crossing += switching.crossings()
@@ -75,7 +78,8 @@ def run_adaptive(
             while filled < len(grid) and grid[filled] < reached - AT * h:  # at an event is behind it
                 rows[filled] = _sound(instance.record(grid[filled], part.sol(grid[filled])))
                 filled += 1
-            if part.status < 0 or not np.isfinite(part.y[:, -1]).all():
+            outgrown = part.status == 1 and len(part.t_events[0]) > 0
+            if outgrown or part.status < 0 or not np.isfinite(part.y[:, -1]).all():
                 verdict = Verdict("diverged", _failure(model, instance, part, reached))
                 break
             x, t = np.array(part.y[:, -1]), reached
@@ -96,7 +100,7 @@ def run_adaptive(
     except KeyboardInterrupt:
         verdict = interrupted(t)
     except RotorsimError as error:
-        verdict = failed_inside(error, t)
+        verdict = diverged_inside(model, instance, error, t, None)
     instance.x[:] = x
     if verdict.status == "finished" and filled == len(grid) - 1:
         try:
@@ -120,6 +124,16 @@ def _finite(jacobian: np.ndarray, t: float, model: Model) -> np.ndarray:
         what = f"the derivatives of its equations by the states are not finite at t = {t:.6g} s"
         raise RotorsimError(Problem(what, block, hint="rk4, dop853 and rk45 do without them"), exit_code=1)
     return jacobian
+
+
+def _limit() -> Callable[[float, np.ndarray], float]:
+    """Return the event that a state has become too large for the method, which would fail or never end beyond it."""
+
+    def room(t: float, x: np.ndarray) -> float:
+        return 1.0 - float(np.abs(x).max(initial=0.0)) / LARGEST_STATE
+
+    room.terminal = True  # type: ignore[attr-defined]
+    return room
 
 
 def _events(model: Model, p: np.ndarray, instance: Instance) -> list[Callable[[float, np.ndarray], float]]:
@@ -152,4 +166,5 @@ def _failure(model: Model, instance: Instance, part: Any, reached: float) -> str
     state = next((n for n, s in model.states.items() if s.part.start <= worst < s.part.stop), "")
     block = model.block_of_state(worst)
     why, _ = growth(model, instance, None)
-    return f"diverged at t = {reached:.6g} s: state '{state}' of block '{block}'{why} ({part.message.rstrip('.')})"
+    said = f" ({part.message.rstrip('.')})" if part.status < 0 else ""
+    return f"diverged at t = {reached:.6g} s: state '{state}' of block '{block}'{why}{said}"

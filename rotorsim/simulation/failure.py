@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.stability import growing, largest_stable_step, rounded_down
+from rotorsim.linear.stability import growing, largest_stable_step, rounded_down, step_factor
 from rotorsim.model.compiled import Model
 from rotorsim.model.instance import Instance
+
+AT_VALUES = {"value", "discard", "error"}  # how a part fails where it gets values that it cannot take
+OUTGROWN = 1e6  # by the growth of a pole since the start: what was small beside the motion meant is far beyond it
 
 
 @dataclass(frozen=True)
@@ -35,10 +39,15 @@ def failed_inside(error: RotorsimError, t: float) -> Verdict:
     return Verdict("stopped", f"{what}; what was computed until t = {t:.6g} s is kept{hint}", cause="part")
 
 
-def diverged_inside(model: Model, instance: Instance, error: RotorsimError, t: float, h: float) -> Verdict:
-    """Return that a part gives what is no number before a time [s], and why, where states have grown until there."""
+def diverged_inside(model: Model, instance: Instance, error: RotorsimError, t: float, h: float | None) -> Verdict:
+    """Return that a part has failed at values before a time [s], and why, where the motion has grown until there.
+
+    h: of fixed steps [s].
+    """
     failed = failed_inside(error, t)
-    why, cause = growth(model, instance, h) if getattr(error, "kind", "") == "value" else ("", "")
+    if getattr(error, "kind", "") not in AT_VALUES:
+        return failed
+    why, cause = growth(model, instance, h, until=t)
     if "grows" not in why:
         return failed
     problem = error.problems[0]
@@ -67,18 +76,23 @@ def describe_failure(
     return n, Verdict("diverged", what, cause=cause)
 
 
-def growth(model: Model, instance: Instance, h: float | None) -> tuple[str, str]:
-    """Tell instability of the system from a step that is too large, by the Jacobian at the start: words, cause."""
+def growth(model: Model, instance: Instance, h: float | None, until: float | None = None) -> tuple[str, str]:
+    """Tell instability of the system from a step that is too large, by the Jacobian at the start: words, cause.
+
+    until: the time [s] by which the motion must have grown by `OUTGROWN`; None: that is known.
+    """
     z = np.asarray(instance.z)
     p = instance.p  # type: ignore[attr-defined]
     jacobian = np.array(model.jacobian(0.0, model.x0(p), z, p))
     if model.n_z or not np.isfinite(jacobian).all():
         return " is not finite any more", ""
+    least = -np.inf if until is None else math.log(OUTGROWN)
     poles = growing(jacobian)
-    if poles:
+    if poles and (until is None or poles.poles[0].real * until >= least):
         return f" grows without bound: the system is unstable ({poles.describe(model)})", ""
-    stable = rounded_down(largest_stable_step(np.linalg.eigvals(jacobian)))
-    if h is not None and stable < h:
+    values = np.linalg.eigvals(jacobian)
+    stable = rounded_down(largest_stable_step(values))
+    if h is not None and stable < h and (until is None or math.log(step_factor(h * values).max()) * until / h >= least):
         why = f" grows without bound: the step {h:.3g} s is too large, RK4 is stable here up to {stable:.3g} s"
         return why, "step"
     return " is not finite any more", ""

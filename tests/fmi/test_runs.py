@@ -18,11 +18,12 @@ from rotorsim.fmi.mode import FmuMode
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
 from rotorsim.settled.periodic import periodic
+from rotorsim.simulation.failure import AT_VALUES, OUTGROWN
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
 from tests.fmi.conftest import Make
 from tests.fmi.events import alone, description2, events_fmu
-from tests.fmi.plant import floats_only, library, make_fmu
+from tests.fmi.plant import FAULTS, floats_only, library, make_fmu
 from tests.fmi.test_equations import of_plant, with_fmu
 
 G, E, H = 9.81, 0.8, 1e-2
@@ -158,6 +159,32 @@ def test_growth_in_steps_that_are_too_large_is_told(tmp_path: Path) -> None:
     assert found.message.partition(": ")[2].startswith(
         "it grows without bound: the step 0.1 s is too large, RK4 is stable here up to 0.000581 s (gives der(v) = -inf"
     )
+
+
+@pytest.mark.parametrize("in_process", [True, False])
+def test_an_fmu_that_refuses_what_has_grown_is_not_the_cause(fmu: Make, in_process: bool) -> None:
+    """An unstable gain: the rotor discards what is not finite, e^(3143 t) beyond 1e308."""
+    diagram = with_fmu(fmu, "rotor", in_process=in_process)
+    found = simulate(diagram, parameters={"controller.KP": -5e5}, stop=1.0)
+    assert (found.status, found.cause) == ("diverged", "")
+    assert found.message == (
+        "diverged at t = 0.2251 s: rotor grows without bound: the system is unstable (a pole at 3143 1/s, most of it "
+        "in the states of 'rotor'; 3 more grow) (fmi2SetContinuousStates returned fmi2Discard (t = 0.2251 s))"
+    )
+    assert np.abs(found["rotor.displacement"]).max() > 1e290
+
+
+def test_an_fmu_that_fails_before_anything_has_grown_is_the_cause(tmp_path: Path) -> None:
+    """x'' = 100 x grows by 1e6 in 1.4 s."""
+    assert OUTGROWN == 1e6
+    assert {"value", "discard", "error"} == AT_VALUES
+    make_fmu(tmp_path / "plant2.fmu", description=floats_only())
+    fault = {"stiffness": -100.0, "damping": 0.0, "fault": FAULTS.index("discard"), "fault_above": -1000.0}
+    early, late = (simulate(of_plant(tmp_path, fault_time=at, **fault), stop=3.0) for at in (1.0, 2.0))
+    assert (early.status, early.cause) == ("stopped", "part")
+    assert early.message.startswith("it: fmi2GetDerivatives returned fmi2Discard (t = 1")
+    assert (late.status, late.cause) == ("diverged", "")
+    assert "it grows without bound: the system is unstable (a pole at 10 1/s" in late.message
 
 
 def test_a_run_leaves_the_equations_as_they_begin(file: Path) -> None:

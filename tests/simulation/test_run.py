@@ -6,6 +6,7 @@ import pytest
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.stability import largest_stable_step
 from rotorsim.model.load import load
+from rotorsim.simulation.adaptive import LARGEST_STATE
 from rotorsim.simulation.run import simulate
 from tests.model.documents import document, oscillator
 
@@ -20,6 +21,19 @@ def test_an_unstable_system_stops_with_time_block_and_cause_and_keeps_what_it_co
     )
     assert np.isfinite(result["position.output"]).all()
     assert 300 < len(result.time) < 400  # e^(2000 t) overflows near t = 0.355 s
+
+
+@pytest.mark.parametrize("method", ["dop853", "rk45", "radau", "bdf", "lsoda"])
+def test_methods_of_variable_step_end_where_a_state_has_become_too_large(method):
+    """At 1e100: e^(2000 t) / 2000 is there near t = 0.12 s. Beyond, LSODA never ends, and Radau fails."""
+    assert LARGEST_STATE == 1e100
+    result = simulate(load(oscillator(damping=-2000.0)), stop=2.0, method=method)
+    assert result.status == "diverged"
+    assert result.message.endswith(
+        "the system is unstable (a pole at 2000 1/s, most of it in the states of 'velocity'; 1 more grows)"
+    )
+    assert 110 < len(result.time) < 125
+    assert np.abs(result["position.output"]).max() > 1e90
 
 
 def test_a_step_that_is_too_large_is_told_from_an_unstable_system():

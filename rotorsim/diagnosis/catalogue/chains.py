@@ -78,7 +78,7 @@ class Chains:
         return [wire for wire in self._wires.get(source, []) if wire.target.block == block]
 
     def _is_of(self, category: str, wire: Wire) -> bool:
-        return category in (ANY, self.diagram.nodes[wire.target.block].block.category)
+        return category == ANY or category in self.diagram.nodes[wire.target.block].block.roles
 
     def _behind(self, wire: Wire, passed: frozenset[str]) -> Iterator[Wire]:
         """Yield a wire and those that its signal goes through behind blocks in wires."""

@@ -138,7 +138,7 @@ class _Finder:
         if key in node.outputs:
             return f"{node.name}.{key}{index if len(node.outputs[key].shape) > 1 else ''}"
         holders = [other for other in self.diagram.nodes.values() if key in other.outputs and other is not node]
-        first = [other for other in holders if other.block.category in ("clock", "controller")] or holders
+        first = [other for other in holders if other.block.roles & {"clock", "controller"}] or holders
         return str(self.chains.end(Endpoint(first[0].name, key))) if len(first) == 1 else None
 
     def _inherited(self, node: Node) -> dict[str, Any]:
@@ -157,7 +157,7 @@ class _Finder:
 
     def _wires(self, node: Node) -> Iterator[Insertion]:
         first = next(iter(self.fault.through))
-        if node.block.category != self.fault.between[0] or first not in node.outputs:
+        if self.fault.between[0] not in node.block.roles or first not in node.outputs:
             return
         ends = {w.source for w in self.diagram.wires if (w.source.block, w.source.port) == (node.name, first)}
         places = {end.index for end in ends if self.chains.targets(end, self.fault.between[1])}
@@ -245,7 +245,7 @@ class _Finder:
 
     def _readings(self, node: Node) -> Iterator[Insertion]:
         [(key, output), *_] = self.fault.through.items()
-        if node.block.category != self.fault.between[0] or key not in node.outputs:
+        if self.fault.between[0] not in node.block.roles or key not in node.outputs:
             return
         for index in sorted(self._recorded_places(node, key)):
             if _fits(self.kind.inputs[key].shape, node.outputs[key].shape[len(index) :]):

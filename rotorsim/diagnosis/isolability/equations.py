@@ -54,9 +54,9 @@ def entries_of(diagram: Diagram, sensors: Sequence[str]) -> list[str]:
         except RotorsimError as error:
             problems += error.problems
     if not sensors:
-        categories = {name: diagram.nodes[name.rpartition(".")[0]].block.category for name in shapes}
-        usual = [name for name in shapes if categories[name] not in UNMEASURED]
-        usual.sort(key=lambda name: categories[name] not in ("rotor", "controller"))
+        blocks = {name: diagram.nodes[name.rpartition(".")[0]].block for name in shapes}
+        usual = [name for name in shapes if blocks[name].category not in UNMEASURED]
+        usual.sort(key=lambda name: not blocks[name].roles & {"rotor", "controller"})
         problems.append(Problem("no sensors", diagram.name, hint=f"signals: {', '.join(usual[:LISTED_SIGNALS])}"))
     if problems:
         raise RotorsimError(*problems)

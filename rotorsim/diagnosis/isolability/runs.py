@@ -60,7 +60,7 @@ def _gains(diagram: Diagram) -> dict[str, tuple[float, str]]:
     """Return the gains of controllers that another set changes: their values and units."""
     gains: dict[str, tuple[float, str]] = {}
     for block, node in diagram.nodes.items():
-        if node.block.category == "controller":
+        if "controller" in node.block.roles:
             units = {key: declared.unit or "1" for key, declared in node.block.parameters.items()}
             scalars = {key: float(value) for key, value in node.values.items() if value.ndim == 0 and value != 0.0}
             usual = [key for key in scalars if units[key] not in ("s", "rad/s", "1")]

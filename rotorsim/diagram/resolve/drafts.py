@@ -140,6 +140,10 @@ class Drafter:
             cls: type[Block] = module.block_class((folder or Path()) / raw.file, given, wanted, raw.name)
         except RotorsimError as error:
             for problem in error.problems:
+                if problem.subject == "ports":  # an option that names them
+                    place = raw.place_of("ports")
+                    self.problems.error(problem.what, f"{raw.name}.ports", place, problem.hint)
+                    continue
                 self.problems.error(
                     problem.what if raw.file in problem.what else f"{raw.file}: {problem.what}",
                     raw.name,

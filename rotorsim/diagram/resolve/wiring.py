@@ -93,6 +93,8 @@ class Wiring:
         kind, other = ("input", "an output") if is_input else ("output", "an input")
         what = f"block type '{draft.cls.type_name}' has no {kind} '{end.port}'"
         hint = near_miss(end.port, ports) if ports else f"it has no {kind}s"
+        if ports and "ports" in draft.cls.options:
+            hint += f'; "ports": {{"{end.port}": ...}} among its parameters gives its variables this name'
         if end.port in draft.template.ports(not is_input):
             what = f"'{end.port}' is {other}"
             hint = "wires run from an output to an input" + (f"; {kind}s: {', '.join(ports)}" if ports else "")

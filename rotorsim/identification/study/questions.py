@@ -136,7 +136,7 @@ def compare_controllers(study: Study, progress: Progress = None, **jobs: Any) ->
     own, and sampled ones (a current that is held between samples, recorded at the samples, is half a sample late).
     """
     diagram = study.load()
-    block = next((name for name, node in diagram.nodes.items() if node.block.category == "controller"), None)
+    block = next((name for name, node in diagram.nodes.items() if "controller" in node.block.roles), None)
     if block is None:
         raise RotorsimError(Problem("no controller to compare", diagram.name))
     types = [kind for kind in fitting_types(diagram.document, block) if _is_controller(kind)]
@@ -164,7 +164,7 @@ def comparison_rows(compared: Comparison) -> list[dict[str, Any]]:
 
 def _is_controller(kind: str) -> bool:
     found = Registry().find(kind)
-    return found is not None and found.category == "controller"
+    return found is not None and "controller" in found.roles
 
 
 def _swapped(study: Study, diagram: Diagram, block: str, kind: str) -> Study:

@@ -44,7 +44,7 @@ def subsystems_of(diagram: Diagram, channels: Channels, *, force: ForceMap | Non
     controllers = {
         name: [output for output in channels.outputs if output.partition("[")[0].rpartition(".")[0] == name]
         for name, node in diagram.nodes.items()
-        if node.block.category == "controller"
+        if "controller" in node.block.roles
     }
     for name, outputs in controllers.items():
         equations = _controller(diagram, channels, outputs) if outputs else None
@@ -61,8 +61,8 @@ def _controller(diagram: Diagram, channels: Channels, outputs: Sequence[str]) ->
         return None
     given = [*channels.inputs, *dict.fromkeys(name for names in cut.values() for name in names)]
     equations = driven_equations(diagram, outputs, given, diagram.free, cut=cut)
-    categories = {diagram.nodes[state.rpartition(".")[0]].block.category for state in equations.state_names}
-    return None if "rotor" in categories else equations
+    holders = {state.rpartition(".")[0] for state in equations.state_names}
+    return None if any("rotor" in diagram.nodes[name].block.roles for name in holders) else equations
 
 
 def _measured_ports(model: Model, outputs: Sequence[str], passed: set[str]) -> dict[str, list[str]]:

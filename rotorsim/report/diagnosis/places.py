@@ -80,7 +80,7 @@ def _title(places: Sequence[PlaceClass]) -> str:
 def _shaft(diagram: Diagram) -> _Shaft | None:
     """Return the first rotor of a diagram along its axis; one without nodes as a disc between two bearings."""
     for name, node in diagram.nodes.items():
-        if node.block.category != "rotor" or "displacement" not in node.outputs:
+        if "rotor" not in node.block.roles or "displacement" not in node.outputs:
             continue
         shape = node.outputs["displacement"].shape
         if len(shape) == 2 and "element_length" in node.values:
@@ -151,7 +151,7 @@ def _acting(diagram: Diagram, shaft: _Shaft, category: str) -> dict[int, list[st
     for wire in diagram.wires:
         k, name = shaft.node(wire.target.index), wire.source.block
         onto = (wire.target.block, wire.target.port) == (shaft.block, "force")
-        if onto and k is not None and diagram.nodes[name].block.category == category:
+        if onto and k is not None and category in diagram.nodes[name].block.roles:
             acting.setdefault(k, []).append(name)
     return {k: list(dict.fromkeys(names)) for k, names in acting.items()}
 

@@ -99,7 +99,7 @@ def _changes(diagram: Diagram, record: HarmonicRuns) -> Iterator[tuple[list[str]
     places = np.unique(np.linspace(0, len(on_record) - 1, REPEATED_RUNS).round().astype(int))
     repeated = [on_record[int(k)] for k in places]
     for name, node in diagram.nodes.items():
-        if node.block.category != "controller":
+        if "controller" not in node.block.roles:
             continue
         for key, value in node.values.items():
             if value.ndim or not float(value) or key not in ("KP", "KD", "KI"):

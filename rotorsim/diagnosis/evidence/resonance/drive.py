@@ -32,7 +32,7 @@ def driven_at(runs: SampledRuns, measured: Sequence[Resonance], document: Mappin
         for wire in diagram.wires
         if (wire.target.block, wire.target.port) == (target.block, target.port)
         and wire.target.index
-        and diagram.nodes[wire.source.block].block.category == "bearing"
+        and "bearing" in diagram.nodes[wire.source.block].block.roles
     ]
     nodes = list(dict.fromkeys([target.index[0], *bearings]))
     if len(nodes) < 2:
@@ -68,4 +68,4 @@ def _target(diagram: Diagram, inputs: Sequence[str]) -> Endpoint | None:
     first = inputs[0].rpartition(".")[0]
     reached = [first, *(block for _, block in nx.bfs_edges(diagram.graph, first))]
     targets = (wire.target for block in reached for wire in diagram.wires if wire.source.block == block)
-    return next((end for end in targets if end.index and diagram.nodes[end.block].block.category == "rotor"), None)
+    return next((end for end in targets if end.index and "rotor" in diagram.nodes[end.block].block.roles), None)
