@@ -64,6 +64,10 @@ class _Function(ctypes.Structure):
     ]
 
 
+class _Teller(ctypes.Structure):
+    _fields_ = [("fmu", _POINTER), ("p", _POINTER), ("function", _POINTER), ("unbound", _INT)]
+
+
 @cache
 def _library() -> ctypes.CDLL | None:
     compiler = find_compiler()
@@ -96,6 +100,7 @@ class InC:
         self._chosen: list[tuple[np.ndarray, Slave] | None] = [None] * READY
         self._oldest = 0
         self._sides: dict[int, np.ndarray] = {}
+        self._tellers: dict[int, tuple[_Teller, np.ndarray]] = {}
         self._most = PAIRS_EACH * (p_size + 1)
         self._pairs = (_Pair * self._most)()
         self._pair_of: list[tuple[np.ndarray, np.ndarray, Slave, Slave] | None] = [None] * self._most
@@ -208,6 +213,20 @@ class InC:
         pair.high, pair.low = (self._instance(*end) for end in ends)
         pair.step = step
 
+    def teller(self, slave: Slave, p: np.ndarray) -> tuple[int, int] | None:
+        """Return the addresses of a function that tells an instance of a step, and of its context; None: of none."""
+        worker, library, version = slave.worker, _library(), int(self.description.version[0])
+        if library is None or version == 1:
+            return None
+        function, unbound = None, 1
+        if isinstance(worker, LocalWorker):
+            function = ctypes.cast(worker.session.calls.function("CompletedIntegratorStep"), _POINTER).value
+            unbound = worker.session.steps.unbound
+        own = np.array(p, float)
+        made = _Teller(ctypes.addressof(self.made), own.ctypes.data, function, unbound)
+        self._tellers[id(slave)] = made, own
+        return ctypes.cast(library.rs_fmu_completed, _POINTER).value or 0, ctypes.addressof(made)
+
     def forget(self, slave: Slave) -> None:
         """Forget an instance that is freed."""
         for k, chosen in enumerate(self._chosen):
@@ -217,6 +236,7 @@ class InC:
             if known is not None and slave in known[2:]:
                 self._pair_of[k], self._pairs[k].step = None, 0.0
         self._sides.pop(id(slave), None)
+        self._tellers.pop(id(slave), None)
 
     def _instance(self, slave: Slave, sides: np.ndarray, due: float) -> _Instance:
         worker = slave.worker

@@ -20,34 +20,46 @@ struct rs_remote {
     const int64_t *picked;
 };
 
+#if !defined _WIN32
+/* Whether a process has answered what it was asked last. */
+static int idle(const rs_remote *r) {
+    return __atomic_load_n(r->head + RS_REPLY, __ATOMIC_ACQUIRE) == r->count && !r->head[RS_STATUS];
+}
+
+/* Ask a process for what these bits say; return whether it has answered. */
+static int answered(rs_remote *r, int64_t op) {
+    r->head[RS_OP] = op;
+    __atomic_store_n(r->head + RS_REQUEST, ++r->count, __ATOMIC_SEQ_CST);
+    __atomic_thread_fence(__ATOMIC_SEQ_CST);
+    if (__atomic_load_n(r->head + RS_FMU_SLEEPS, __ATOMIC_SEQ_CST) && write((int)r->bell, "\0\0\0", 4) != 4) return 0;
+    for (int64_t k = 0; __atomic_load_n(r->head + RS_REPLY, __ATOMIC_ACQUIRE) != r->count;) {
+        if (k++ >= r->looks) return 0;
+        sched_yield(); /* see channel.py */
+    }
+    return !r->head[RS_STATUS];
+}
+#endif
+
 /* What `evaluated` does, by a process of its own. A request without an answer is left to who asks next. */
 static int asked(const rs_fmu *f, const rs_instance *i, double t, const double *x, const double *u, int rates,
                  int outputs, double *out) {
 #if !defined _WIN32
     rs_remote *r = i->remote;
     double *numbers = (double *)r->head;
-    if (__atomic_load_n(r->head + RS_REPLY, __ATOMIC_ACQUIRE) != r->count || r->head[RS_STATUS]) return 0;
+    if (!idle(r)) return 0;
     numbers[RS_T] = t;
     memcpy(numbers + r->x, x, (size_t)f->n_x * sizeof *x);
     for (int64_t k = 0; k < f->n_u; k++) numbers[r->u + k] = (u[k] - f->u_scales[2 * k + 1]) / f->u_scales[2 * k];
-    r->head[RS_OP] = RS_OP_TIME | (f->n_x ? RS_OP_X : 0) | (f->n_u ? RS_OP_U : 0) | (rates && f->n_x ? RS_OP_XDOT : 0) |
-                     (rates && f->n_z ? RS_OP_Z : 0) | (outputs && f->n_y ? RS_OP_Y : 0);
-    __atomic_store_n(r->head + RS_REQUEST, ++r->count, __ATOMIC_SEQ_CST);
-    __atomic_thread_fence(__ATOMIC_SEQ_CST);
-    if (__atomic_load_n(r->head + RS_FMU_SLEEPS, __ATOMIC_SEQ_CST) && write((int)r->bell, "\0\0\0", 4) != 4) return 0;
-    int64_t k = 0;
-    while (__atomic_load_n(r->head + RS_REPLY, __ATOMIC_ACQUIRE) != r->count) {
-        if (k++ >= r->looks) return 0;
-        sched_yield(); /* see channel.py */
-    }
-    if (r->head[RS_STATUS]) return 0;
+    if (!answered(r, RS_OP_TIME | (f->n_x ? RS_OP_X : 0) | (f->n_u ? RS_OP_U : 0) | (rates && f->n_x ? RS_OP_XDOT : 0) |
+                         (rates && f->n_z ? RS_OP_Z : 0) | (outputs && f->n_y ? RS_OP_Y : 0)))
+        return 0;
     if (rates) {
         memcpy(out, numbers + r->xdot, (size_t)f->n_x * sizeof *out);
         memcpy(f->seen, numbers + r->u, (size_t)f->n_u * sizeof *out);
         memcpy(f->seen + f->n_u, numbers + r->z, (size_t)f->n_z * sizeof *out);
         if (!in_mode(f, i)) return 0;
     }
-    for (k = 0; k < f->n_y && outputs; k++)
+    for (int64_t k = 0; k < f->n_y && outputs; k++)
         out[f->n_x + k] = f->y_scales[2 * k] * numbers[r->y + r->picked[k]] + f->y_scales[2 * k + 1];
     return 1;
 #else
@@ -68,6 +80,39 @@ static const rs_instance *ready(const rs_fmu *f, const double *p) {
     for (int64_t k = 0; k < f->n_ready; k++)
         if (f->ready[k].p && memcmp(p, f->ready[k].p, (size_t)f->n_p * sizeof *p) == 0) return &f->ready[k].of;
     return NULL;
+}
+
+/* An instance that is told of completed steps; unbound: no state before them will be set again. */
+typedef struct {
+    const rs_fmu *fmu;
+    const double *p;
+    void *function;
+    int64_t unbound;
+} rs_teller;
+
+typedef int (*completed2)(void *, int, int *, int *);
+typedef int (*completed3)(void *, _Bool, _Bool *, _Bool *);
+
+/* Tell an instance that the step to the present point is completed; return the status, and what it said. */
+static int complete(int64_t version, void *function, void *instance, int64_t unbound, int64_t *said) {
+    int event2 = 0, end2 = 0, status;
+    _Bool event3 = 0, end3 = 0;
+    status = version == 2 ? ((completed2)function)(instance, (int)unbound, &event2, &end2)
+                          : ((completed3)function)(instance, unbound != 0, &event3, &end3);
+    *said = (event2 || event3 ? RS_EVENT : 0) | (end2 || end3 ? RS_TERMINATE : 0);
+    return status;
+}
+
+/* Tell an instance of a completed step; return what it said, -1 where it is not there or fails. */
+RS_EXPORT int64_t rs_fmu_completed(void *context) {
+    const rs_teller *self = context;
+    const rs_instance *i = ready(self->fmu, self->p);
+    int64_t said = 0;
+    if (!i) return -1;
+#if !defined _WIN32
+    if (i->remote) return idle(i->remote) && answered(i->remote, RS_OP_COMPLETED) ? i->remote->head[RS_SAID] : -1;
+#endif
+    return complete(self->fmu->version, self->function, i->instance, self->unbound, &said) > 1 ? -1 : said;
 }
 
 static int any(const double *a, int64_t n) {
@@ -223,7 +268,7 @@ typedef struct {
 } rs_asked;
 
 typedef struct {
-    int64_t version, n_calls;
+    int64_t version, n_calls, unbound;
     void *instance;
     const rs_asked *calls;
     int64_t *head, count, looks, bell;
@@ -233,7 +278,8 @@ typedef struct {
    fails, which is done once more by those who can say why. count: the last request that was taken up. */
 RS_EXPORT int64_t rs_serve_equations(rs_server *s) {
 #if !defined _WIN32
-    const int64_t all = RS_OP_TIME | RS_OP_X | RS_OP_U | RS_OP_XDOT | RS_OP_Y | RS_OP_Z;
+    int64_t all = RS_OP_TIME | RS_OP_X | RS_OP_U | RS_OP_XDOT | RS_OP_Y | RS_OP_Z;
+    for (int64_t k = 0; k < s->n_calls; k++) all |= s->calls[k].op;
     double *numbers = (double *)s->head;
     for (;;) {
         int64_t k = 0, request;
@@ -248,6 +294,8 @@ RS_EXPORT int64_t rs_serve_equations(rs_server *s) {
             if (!(op & c->op)) continue;
             s->head[RS_FUNCTION] = c->number;
             int status = c->op == RS_OP_TIME ? ((time_)c->function)(s->instance, numbers[RS_T])
+                         : c->op == RS_OP_COMPLETED
+                             ? complete(s->version, c->function, s->instance, s->unbound, s->head + RS_SAID)
                          : !c->references    ? ((get_)c->function)(s->instance, c->values, c->n)
                          : s->version == 2   ? ((real2)c->function)(s->instance, c->references, c->n_references, c->values)
                                              : ((real3)c->function)(s->instance, c->references, c->n_references,

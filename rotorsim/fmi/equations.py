@@ -231,6 +231,14 @@ class FmuEquations:
             self._bind(slave)
             self.native.choose(slave, p, *self._modes[id(slave)])
 
+    def teller(self, p: np.ndarray) -> tuple[int, int] | None:
+        """Return the addresses of a function of C, and of its context, that tells the instance of a completed step."""
+        slave = self._slaves.get(p.tobytes())
+        if self.native is None or slave is None:
+            return None
+        self.prefer(p)
+        return self.native.teller(slave, p)
+
     def know(self, p: np.ndarray, seed: np.ndarray, step: float) -> None:
         """Let C take differences between the instances at p + step seed and p - step seed."""
         slaves = [self._slaves.get((p + sign * step * seed).tobytes()) for sign in (1.0, -1.0)]

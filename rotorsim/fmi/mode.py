@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorsim.fmi.equations import FmuEquations
+from rotorsim.fmi.runtime.memory import Said
 from rotorsim.fmi.runtime.model_exchange import SAVED_STATES
 from rotorsim.fmi.runtime.slave import Slave
 
@@ -79,6 +80,17 @@ class FmuMode:
         if slave.ended:
             raise slave.end_asked(t)
         return wants
+
+    def teller(self) -> tuple[int, int] | None:
+        """Return the function of equations.c that tells the FMU, and its context."""
+        return self._equations.teller(self._p)
+
+    def heard(self, t: float, said: int) -> bool:
+        """Take what the FMU said when it was told of the last of some steps. Raises FmuError where it wants the end."""
+        slave = self._changing()
+        if said > 0 and said & Said.TERMINATE:
+            raise slave.end_asked(t)
+        return bool(said > 0 and said & Said.EVENT)
 
     def event(self, t: float, x: np.ndarray) -> np.ndarray:
         """Carry out an event and return the states after it. Raises FmuError, also where it ends the simulation."""

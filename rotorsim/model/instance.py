@@ -11,6 +11,7 @@ Both keep the same promises:
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -22,6 +23,12 @@ from rotorsim.model.emit.emit import Kernel, step_program
 from rotorsim.model.emit.program import INPUT
 
 HIT_TOLERANCE = 1e-9  # of the period, as in runtime.c
+
+
+class Told(ctypes.Structure):
+    """A function of C that is told of every step, and its context; what it has said (``rs_told`` of runtime.c)."""
+
+    _fields_ = [("function", ctypes.c_void_p), ("context", ctypes.c_void_p), ("said", ctypes.c_int64)]
 
 
 class Instance(Protocol):
@@ -67,6 +74,7 @@ class CompiledInstance:
         self._x, self._z = self.x.ctypes.data, self._m + 8 * model.n_x
         self._point = np.empty(max(model.n_x, 1))
         self._slope, self._row = np.empty(model.n_x), np.empty(self.n_y)
+        self._held: np.ndarray | None = None
         self.functions.rs_prepare(self._p, self._m)
         self.x[:], self.z[:] = model.initial(self.p)
 
@@ -75,6 +83,19 @@ class CompiledInstance:
 
     def run(self, n0: int, n1: int, t0: float, h: float, every: int, rows: np.ndarray) -> int:
         return int(self.functions.rs_run(self._p, self._m, n0, n1, t0, h, every, rows.ctypes.data))
+
+    def run_told(
+        self, n0: int, n1: int, t0: float, h: float, every: int, rows: np.ndarray, told: Sequence[Told]
+    ) -> int:
+        """Take steps as `run`, and tell functions of C of each; see ``rs_run_told`` in runtime.c."""
+        if self._held is None:
+            self._held = np.empty_like(self.memory)
+        table, held = (Told * len(told))(*told), self._held
+        room = held.ctypes.data, self._slope.ctypes.data, len(told), ctypes.addressof(table)
+        n = int(self.functions.rs_run_told(self._p, self._m, n0, n1, t0, h, every, rows.ctypes.data, *room))
+        for one, after in zip(told, table, strict=True):
+            one.said = after.said
+        return n
 
     def derivative(self, t: float, x: np.ndarray) -> np.ndarray:
         self._point[: len(x)] = x

@@ -16,8 +16,8 @@ import numpy as np
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.called import event_that_waits, forget_failures, has_failed, raise_failure
 from rotorsim.model.compiled import Model
-from rotorsim.model.instance import Instance
-from rotorsim.model.mode import ModeOf, modes_of
+from rotorsim.model.instance import CompiledInstance, Instance, Told
+from rotorsim.model.mode import Mode, ModeOf, modes_of
 from rotorsim.simulation.event_steps import ACCUMULATE, EventSteps, rounding
 
 # Steps at once, first and at most; what an event is in is computed again from the last start. A piece costs 8 us beside
@@ -119,8 +119,9 @@ class SwitchingInstance(EventSteps):
         first, n = -(-n0 // every), n0
         while n < n1:
             if self.stepwise:
-                self._careful(n, t0, h, every, rows, first)
-                n += 1
+                n = self._told_steps(n, n1, t0, h, every, rows, first)
+                if has_failed() or not np.isfinite(self.inner.x).all():
+                    return n
                 continue
             begun, until, saved = n, min(n + self._ahead, n1), self.inner.save()
             self._guard(True)
@@ -144,6 +145,37 @@ class SwitchingInstance(EventSteps):
                 n += 1
             self._ahead = AT_ONCE[0]
         return n
+
+    def _told_steps(self, n: int, n1: int, t0: float, h: float, every: int, rows: np.ndarray, first: int) -> int:
+        """Take steps of which parts are told, until one wants an event; return the step reached.
+
+        They are told from C; a step in which an event is due is taken from Python, which finds where.
+        """
+        inner, reporting = self.inner, [one.mode for one in self.parts if one.mode.reports]
+        tellers = [teller for mode in reporting if (teller := mode.teller()) is not None]
+        if isinstance(inner, CompiledInstance) and len(tellers) == len(reporting):
+            begun, until, told = n, min(n + self._ahead, n1), [Told(*teller, 0) for teller in tellers]
+            self._guard(True)
+            n = inner.run_told(begun, until, t0, h, every, rows[-(-begun // every) - first :], told)
+            self._guard(False)
+            self._ahead = min(2 * self._ahead, AT_ONCE[1]) if n == until else AT_ONCE[0]
+            if n > begun and self._heard(t0 + n * h, reporting, told):
+                self._note(np.zeros(len(self.sides), bool), t0 + n * h, h)
+                self._events(t0 + n * h, rounding(t0 + n * h, h))
+                return n
+            if n == until or (has_failed() and event_that_waits() is None):
+                return n
+            forget_failures()
+        self._careful(n, t0, h, every, rows, first)
+        return n + 1
+
+    def _heard(self, t: float, reporting: Sequence[Mode], told: Sequence[Told]) -> bool:
+        """Take what parts said that were told of a step to t; return whether one wants an event."""
+        self._point = t
+        if any(one.said < 0 for one in told):
+            return self._completed(t)  # again, which says what failed
+        wants = [mode.heard(t, one.said) for mode, one in zip(reporting, told, strict=True)]
+        return any(wants)
 
     def derivative(self, t: float, x: np.ndarray) -> np.ndarray:
         """Return x' (n_x,)."""

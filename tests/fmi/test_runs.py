@@ -21,6 +21,7 @@ from rotorsim.settled.periodic import periodic
 from rotorsim.simulation.failure import AT_VALUES, OUTGROWN
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
+from rotorsim.simulation.switching import SwitchingInstance
 from tests.fmi.conftest import Make
 from tests.fmi.events import alone, description2, events_fmu
 from tests.fmi.plant import FAULTS, floats_only, library, make_fmu
@@ -195,6 +196,42 @@ def test_a_run_leaves_the_equations_as_they_begin(file: Path) -> None:
     assert first["it.count"][-1] == 1.0
     assert slope.ravel()[0] == 1.0
     np.testing.assert_array_equal(first["it.x"], again["it.x"])
+
+
+TOLD = (("clock", {}), ("ball", {}), ("two", {}), ("late", {"x0": 0.0, "high": 0.7031}), ("late", {"stop_at": 0.355}))
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("in_process", [True, False])
+@pytest.mark.parametrize(("model", "values"), TOLD)
+def test_completed_steps_are_told_from_c_as_from_python(
+    tmp_path: Path,
+    version: str,
+    in_process: bool,
+    model: str,
+    values: dict[str, float],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The virtual machine takes every step from Python; compiled, those alone in which an event is due."""
+    careful, taken = SwitchingInstance._careful, []
+    monkeypatch.setattr(
+        SwitchingInstance, "_careful", lambda self, n, *more: (taken.append(n), careful(self, n, *more))
+    )
+    file = events_fmu(tmp_path, version)
+    runs, counts = [], []
+    for compiler in (False, True):
+        taken.clear()
+        runs.append(
+            simulate(alone(file, model, step=H, stop=1.0, in_process=in_process, **values), use_compiler=compiler)
+        )
+        counts.append(len(taken))
+    slow, fast = runs
+    assert (fast.status, fast.message, len(fast.time)) == (slow.status, slow.message, len(slow.time))
+    assert fast.counters["part_events"] == slow.counters["part_events"]
+    for name in ("it.x", "it.count", "it.when"):
+        np.testing.assert_allclose(fast[name], slow[name], rtol=1e-12, atol=1e-12)
+    assert counts[0] >= fast.counters["steps"]
+    assert counts[1] <= 4 * fast.counters["part_events"]  # of a run, and of its stretches that are repeated
 
 
 def test_a_coarse_step_is_found_out_across_events(file: Path) -> None:

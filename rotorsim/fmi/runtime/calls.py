@@ -65,10 +65,12 @@ class Calls(ABC):
 
     names: a function as `FUNCTIONS` has it -> as the version calls it. boolean: its type of C. version: 2.0 or 3.0,
     whose arguments the functions have that are called from C. waiting: an initialisation that may not be left again.
+    completed_in_c: CompletedIntegratorStep has them, too.
     """
 
     names: Mapping[str, str] = {}
     waiting: Callable[[], None] | None = None
+    completed_in_c = True
     boolean: Any
 
     def __init__(self, block: Block, path: str, version: str, kind: str) -> None:

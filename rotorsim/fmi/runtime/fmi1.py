@@ -130,6 +130,7 @@ class SlaveCalls1(Calls1):
 class ModelCalls1(Calls1):
     """FMI 1.0 for Model Exchange."""
 
+    completed_in_c = False
     names = {
         "Instantiate": "InstantiateModel",
         "EnterInitializationMode": "Initialize",

@@ -78,8 +78,7 @@ class Session:
         """
         if self.member is None:
             return 0, seen
-        if isinstance(self.member, Member):
-            self.member.unbound = self.steps.unbound
+        self.member.unbound = self.steps.unbound
         self.member.count = seen
         self.member.looks, self.member.bell = looks, bell
         return int(self._serve(ctypes.byref(self.member))), int(self.member.count)

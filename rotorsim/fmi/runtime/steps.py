@@ -32,7 +32,8 @@ _DEFINED = {
     "T": Block.T,
     "H": Block.H,
     "LAST": Block.LAST,
-    **{f"OP_{name}": getattr(Op, name) for name in ("TIME", "X", "U", "STEP", "XDOT", "Y", "Z")},
+    **{f"OP_{name}": getattr(Op, name) for name in ("TIME", "X", "U", "STEP", "XDOT", "Y", "Z", "COMPLETED")},
+    "EVENT": Said.EVENT,
     "TERMINATE": Said.TERMINATE,
     "DO_STEP": NUMBER["DoStep"],
     "PART": PART,
@@ -84,7 +85,7 @@ class Server(ctypes.Structure):
     """Evaluations as equations.c does them in the process of an FMU: ``rs_server``."""
 
     _fields_ = [
-        *((name, ctypes.c_int64) for name in ("version", "n_calls")),
+        *((name, ctypes.c_int64) for name in ("version", "n_calls", "unbound")),
         *((name, ctypes.c_void_p) for name in ("instance", "calls", "head")),
         *((name, ctypes.c_int64) for name in ("count", "looks", "bell")),
     ]
@@ -313,17 +314,20 @@ class ModelExchangeSteps(Steps):
         time: Call = (NUMBER["SetTime"], self._set_time, (self.calls.instance, 0))
         asked = {Op.TIME: [time], Op.X: self._write_x, Op.U: self._held, Op.XDOT: self._xdot, Op.Y: self._outputs}
         asked[Op.Z] = self._z
+        if self.calls.completed_in_c:
+            name = "CompletedIntegratorStep"
+            asked[Op.COMPLETED] = [(NUMBER[name], self.calls.function(name), ())]
         calls = [(op, call) for op, own in asked.items() for call in own]
         made = (_Asked * len(calls))()
         for entry, (op, (number, function, arguments)) in zip(made, calls, strict=True):
             entry.op, entry.number, entry.function = op, number, ctypes.cast(function, ctypes.c_void_p)
             if op in (Op.U, Op.Y):
                 entry.references, entry.n_references, entry.values, entry.n = (*arguments[1:], 0)[:4]
-            elif op != Op.TIME:
+            elif op not in (Op.TIME, Op.COMPLETED):
                 entry.values, entry.n = arguments[1:]
         self._keep.append(made)
         version, instance = int(self.calls.version[0]), self.calls.instance
-        return Server(version, len(calls), instance, address(made), self.block.at(0))
+        return Server(version, len(calls), self.unbound, instance, address(made), self.block.at(0))
 
     def begin(self) -> None:
         super().begin()

@@ -189,3 +189,35 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
   }
   return n;
 }
+
+#if !defined(RS_STATIC)
+/* What wants to know of every step that it is done: says what it wants (not 0: no more steps), less than 0 if it fails. */
+typedef struct {
+  int64_t (*function)(void *);
+  void *context;
+  int64_t said;
+} rs_told;
+
+/* As rs_run, step by step: at the end of each the right-hand side is asked for, so that all parts are there, and then
+ * those that want to know are told. Returns the step reached: less than n1 where one wants something, or fails, or where a
+ * step ends with what is no number; then nothing is told, and m is as before that step. held: room for m; slope: (NX). */
+RS_EXPORT int64_t rs_run_told(const double *p, double *m, int64_t n0, int64_t n1, double t0, double h, int64_t every,
+                              double *rows, double *held, double *slope, int64_t n_told, rs_told *told) {
+  for (int64_t n = n0; n < n1; ++n) {
+    memcpy(held, m, RS_SIZE * sizeof(double));
+    rs_run(p, m, n, n + 1, t0, h, every, rows);
+    rs_derivative(t0 + (double)(n + 1) * h, m + RS_AT_X, m + RS_AT_Z, p, m, slope);
+    double bad = 0.0;
+    for (int i = 0; i < RS_NX; ++i) bad += 0.0 * m[RS_AT_X + i] + 0.0 * slope[i];
+    if (!(bad == 0.0)) {
+      memcpy(m, held, RS_SIZE * sizeof(double));
+      return n;
+    }
+    int wants = 0;
+    for (int64_t k = 0; k < n_told; ++k) wants |= (told[k].said = told[k].function(told[k].context)) != 0;
+    if (wants) return n + 1;
+    if (n % every == 0) rows += RS_NY;
+  }
+  return n1;
+}
+#endif
