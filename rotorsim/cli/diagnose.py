@@ -107,14 +107,7 @@ def command(
         _make(out)
     with progress_bar("diagnose", progress) as bar:
         diagnosis = diagnose(
-            loaded,
-            measured,
-            hold_out=held,
-            physics=kinds,
-            trust_blocks=chosen.trust_blocks,
-            workers=workers,
-            scheduler=scheduler,
-            progress=bar,
+            loaded, measured, hold_out=held, physics=kinds, workers=workers, scheduler=scheduler, progress=bar
         )
     show_problems(diagnosis.warnings)
     if out:
@@ -142,14 +135,7 @@ def _show_isolability(
     at = [] if speeds is None else speeds_of(speeds).tolist()
     refuse_if(0 in at, f"--speeds {speeds}: the shaft does not turn", hint="leave 0 out")
     with progress_bar("signatures", progress) as bar:
-        isolation = isolate(
-            loaded,
-            list(dict.fromkeys(sensors)),
-            speeds=at,
-            physics=physics,
-            trust_blocks=chosen.trust_blocks,
-            progress=bar,
-        )
+        isolation = isolate(loaded, list(dict.fromkeys(sensors)), speeds=at, physics=physics, progress=bar)
     show(as_json, lambda: isolation_data(isolation), lambda: isolability_text(isolation))
 
 

@@ -51,14 +51,14 @@ def command(
     from rotorsim.identification.locate import locate
     from rotorsim.recordings.loading import load_recording
 
-    loaded, measured, trust = chosen.open(), load_recording(recording), chosen.trust_blocks
-    locations = locate(loaded, measured, block, count=count, given=given, trust_blocks=trust)
-    alone = locate(loaded, measured, block, given=given, trust_blocks=trust) if count == 2 else None
+    loaded, measured = chosen.open(), load_recording(recording)
+    locations = locate(loaded, measured, block, count=count, given=given)
+    alone = locate(loaded, measured, block, given=given) if count == 2 else None
     single = None if alone is None else alone[0]
     show_problems([*locations.warnings, *(alone.warnings if alone else [])])
     failed = {**locations.failed, **(alone.failed if alone else {})}
     if out:
-        _save(locations[0], loaded, out, trust)
+        _save(locations[0], loaded, out)
         note(f"written: {out}")
     rows = [
         (" and ".join(map(str, item.nodes)), f"{item.probability:.3g}", f"{item.misfit / item.estimate.freedom:.4g}")
@@ -72,7 +72,7 @@ def command(
     return 0 if sure and not failed else 1
 
 
-def _save(best: Location, diagram: Diagram, file: str, trust_blocks: bool) -> None:
+def _save(best: Location, diagram: Diagram, file: str) -> None:
     """Write the diagram with the block at a place, with the values identified there."""
     from rotorsim.diagram.parse.fmt import format_document
     from rotorsim.files import write_atomically
@@ -80,7 +80,7 @@ def _save(best: Location, diagram: Diagram, file: str, trust_blocks: bool) -> No
     from rotorsim.model.load import load
 
     folder = diagram.folder
-    placed = load(best.document, folder=folder, trust_blocks=trust_blocks)
+    placed = load(best.document, folder=folder, trust_blocks=diagram.trusted)
     values = list(zip(best.estimate.free, best.estimate.theta.tolist(), strict=True))
     write_atomically(file, format_document(with_values(placed, values)))
 

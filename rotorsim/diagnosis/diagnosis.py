@@ -41,7 +41,6 @@ def diagnose(
     *,
     hold_out: Recording | OrderRecording | None = None,
     physics: Collection[str] | None = None,
-    trust_blocks: bool = False,
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
@@ -56,7 +55,7 @@ def diagnose(
     jobs = Jobs(workers, scheduler, progress)  # what is wrong with them is said before any work
     warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
     with one_thread():
-        opened = open_evidence(diagram, recording, hold_out, Catalogue.of(diagram, physics, trust_blocks), warnings)
+        opened = open_evidence(diagram, recording, hold_out, Catalogue.of(diagram, physics), warnings)
     if opened.base.failure:
         raise RotorsimError(Problem(opened.base.failure, diagram.name), exit_code=1 if listener().mishaps else 2)
     evidence, selection = opened.evidence, select_effects(opened.base, opened.evidence, opened.catalogue, jobs)

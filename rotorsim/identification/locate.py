@@ -57,13 +57,7 @@ class Locations(list[Location]):
 
 
 def locate(
-    diagram: Diagram,
-    recording: Recording,
-    block: str,
-    *,
-    count: int = 1,
-    given: Sequence[str] = (),
-    trust_blocks: bool = False,
+    diagram: Diagram, recording: Recording, block: str, *, count: int = 1, given: Sequence[str] = ()
 ) -> Locations:
     """Return the places at which a block explains a recording, the most probable first.
 
@@ -87,7 +81,7 @@ def locate(
     with one_thread():
         for places in combinations(nodes, count):
             moved = _placed(document, diagram, block, wires, places)
-            model = load(moved, folder=diagram.folder, trust_blocks=trust_blocks)
+            model = load(moved, folder=diagram.folder, trust_blocks=diagram.trusted)
             experiment = open_experiment(model, recording, given=given, harmonics=harmonics)
             with hearing() as heard:
                 try:

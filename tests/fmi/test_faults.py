@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from rotorsim.diagnosis.conclude.result import untried_of
+from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.diagnosis.evidence.fit import Fit, failed_fit, fit_from_plain, fit_to_plain
 from rotorsim.diagnosis.search import work
 from rotorsim.diagnosis.search.work import DIED, Work
@@ -211,6 +213,31 @@ def test_one_candidate_that_kills_its_process_is_the_only_one_lost(monkeypatch: 
     with hearing():
         promises = Work(evidence, Jobs(workers=1)).promises(jobs)
     assert np.isnan(promises).all()  # not infinite: nothing is known of them
+
+
+@pytest.mark.slow
+def test_a_diagnosis_goes_on_where_the_fmu_crashes(
+    clean: Path,  # noqa: F811 - no process, file or descriptor is left
+    folder: Path,  # noqa: F811
+    tmp_path: Path,
+) -> None:
+    """In processes of their own; its trials beyond 135 N/m are lost, and all else is as without the fault."""
+    for name in ("plant2.fmu", "recording.json"):
+        shutil.copy(folder / name, tmp_path)
+    (tmp_path / "run.csv").write_text("\n".join((folder / "run.csv").read_text().splitlines()[:60]))
+    recording, few = load_recording(tmp_path), {"gain_error", "offset"}
+    healthy = diagnose(driven(tmp_path, stiffness=60.0, damping=3.0), recording, physics=few, workers=1)
+    values = {**BEYOND, "fault": FAULTS.index("segv"), "fault_time": 0.2}
+    found = diagnose(driven(tmp_path, in_process=False, **values), recording, physics=few, workers=1)
+    close_instances()
+    [said] = [one.what for one in found.warnings if one.subject == "it"]
+    assert said.startswith(
+        "its process was ended by SIGSEGV (it used memory that is not its own), in fmi2GetDerivatives"
+    )
+    assert said.endswith(" failed so, and other values were tried")
+    assert (found.verdict, len(found.effects)) == (healthy.verdict, 0)
+    off = np.abs(found.after.theta - healthy.after.theta) / np.sqrt(np.diag(healthy.after.covariance))
+    assert off.max() < 1e-3
 
 
 # -- instances ---------------------------------------------------------------------------------------------------------

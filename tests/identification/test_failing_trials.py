@@ -106,7 +106,7 @@ def test_a_place_that_cannot_be_fitted_is_told(monkeypatch: pytest.MonkeyPatch) 
     }
     for name, fake in made.items():
         monkeypatch.setattr(locating, name, fake)
-    diagram: Any = SimpleNamespace(document={}, folder=None)
+    diagram: Any = SimpleNamespace(document={}, folder=None, trusted=False)
     recording: Any = SimpleNamespace(select=lambda use: [])
     found = locate(diagram, recording, "crack")
     assert isinstance(found, Locations)

@@ -21,11 +21,11 @@ class Catalogue:
     trust: bool = False
 
     @classmethod
-    def of(cls, diagram: Diagram, physics: Collection[str] | None = None, trust: bool = False) -> Catalogue:
-        """Return the catalogue of a diagram: built-in faults and, if they are trusted, those of its block folders."""
-        folders = diagram.document.get("block_folders", []) if trust and diagram.file else []
+    def of(cls, diagram: Diagram, physics: Collection[str] | None = None) -> Catalogue:
+        """Return the catalogue of a diagram: built-in faults and, if it is trusted, those of its block folders."""
+        folders = diagram.document.get("block_folders", []) if diagram.trusted and diagram.file else []
         registry = Registry([Path(diagram.file).parent / name for name in folders])
-        return cls(registry, None if physics is None else frozenset(physics), trust)
+        return cls(registry, None if physics is None else frozenset(physics), diagram.trusted)
 
     def only(self, physics: Collection[str]) -> Catalogue:
         """Return the catalogue with these physics only."""

@@ -79,7 +79,6 @@ def isolate(
     *,
     speeds: Sequence[float] = (),
     physics: Collection[str] | None = None,
-    trust_blocks: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Isolation:
     """Return which declared faults of a diagram are isolable with some sensors, and which sensors would help.
@@ -91,7 +90,7 @@ def isolate(
     Raises RotorsimError for sensors that the diagram does not have.
     """
     recorded = entries_of(diagram, sensors)
-    candidates = Catalogue.of(diagram, physics, trust_blocks).candidates(diagram, recorded)
+    candidates = Catalogue.of(diagram, physics).candidates(diagram, recorded)
     faults = {item.key: item for item in candidates if not item.read_off}  # the data themselves show those
     structure = structure_of(diagram, sensors, faults.values())
     laws, why = None, ""
@@ -99,9 +98,7 @@ def isolate(
         runs = runs_of(diagram, speeds)
         extra = _periodic(diagram, recorded, structure.extra, runs)
         signals = list(dict.fromkeys([*recorded, *chain.from_iterable(extra.values())]))
-        signatures = signatures_of(
-            diagram, list(faults.values()), signals, runs, trust_blocks=trust_blocks, progress=progress
-        )
+        signatures = signatures_of(diagram, list(faults.values()), signals, runs, progress=progress)
         laws = _laws(signatures, recorded, extra)
     except RotorsimError as error:
         why = error.problems[0].what

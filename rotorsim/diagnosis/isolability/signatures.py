@@ -167,7 +167,6 @@ def signatures_of(
     signals: Sequence[str],
     runs: Runs,
     *,
-    trust_blocks: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Signatures:
     """Return the signatures of faults in signals (flat names; "second ...": what no fault of a sensor touches).
@@ -178,7 +177,7 @@ def signatures_of(
     folder = diagram.folder
 
     def opened(document: Mapping[str, Any]) -> Diagram:
-        return load(document, folder=folder, trust_blocks=trust_blocks)
+        return load(document, folder=folder, trust_blocks=diagram.trusted)
 
     made: dict[str, tuple[np.ndarray, Size | None]] = {}
     skipped: dict[str, str] = {}

@@ -49,7 +49,7 @@ def lacking():
     diagram = load(SERVO)
     evidence = waveform_evidence(diagram, measured)
     before = evidence.fit(diagram.document, [])
-    found = Catalogue.of(diagram, {"dry_friction"}, False).candidates(diagram, evidence.recorded)
+    found = Catalogue.of(diagram, {"dry_friction"}).candidates(diagram, evidence.recorded)
     item = next(item for item in found if item.spot.block == "friction" and not item.spot.side)
     start = dict.fromkeys(item.fault.free, DRY / 2)
     after = evidence.fit(item.document(values_in(before.document, before.values), start), [[{}]])
@@ -101,7 +101,7 @@ def test_what_a_sensor_adds_with_time_is_drawn_over_time():
     diagram = load(SERVO)
     evidence = waveform_evidence(diagram, made)
     before = evidence.fit(diagram.document, [])
-    found = Catalogue.of(diagram, {"drift"}, False).candidates(diagram, evidence.recorded)
+    found = Catalogue.of(diagram, {"drift"}).candidates(diagram, evidence.recorded)
     item = next(item for item in found if item.spot == Spot("speed", "output", side="reading"))
     after = evidence.fit(item.document(values_in(before.document, before.values), {"rate": 0.01}), [[{}]])
     signal = evidence.missing_signal(before, after, item, item.spot, ())
@@ -155,7 +155,7 @@ def test_a_map_explains_what_follows_from_a_signal_and_nothing_else():
 def test_what_only_adds_promises_the_same_where_places_act_in_proportion(lacking):
     """A function of the reference, added to the brake's force or, negative, to the sum behind it."""
     evidence, before, *_ = lacking
-    found = Catalogue.of(evidence.load(before.document), {"cross_talk"}, False)
+    found = Catalogue.of(evidence.load(before.document), {"cross_talk"})
     items = found.candidates(evidence.load(before.document), evidence.recorded)
     pairs = [item for item in items if item.depends_on and not item.spot.side]
     alike = {}
@@ -176,7 +176,7 @@ def test_of_a_law_that_linear_theory_fails_at_nothing_is_known(lacking, monkeypa
     diagram = evidence.load(before.document)
     items = [
         item
-        for item in Catalogue.of(diagram, {"dry_friction", "saturation"}, False).candidates(diagram, evidence.recorded)
+        for item in Catalogue.of(diagram, {"dry_friction", "saturation"}).candidates(diagram, evidence.recorded)
         if item.spot.block == "friction"
     ]
     bounds, whole = evidence.bounds(before), LawBounds._promise
@@ -218,7 +218,7 @@ def test_slow_and_small_machines_are_promised_the_same_laws(lacking, slow, size)
     found = []
     for here, fit in (lacking[:2], (evidence, before)):
         diagram = here.load(fit.document)
-        items = Catalogue.of(diagram, physics, False).candidates(diagram, here.recorded)
+        items = Catalogue.of(diagram, physics).candidates(diagram, here.recorded)
         assert {item.physics for item in items} == physics
         promises = zip(items, here.bounds(fit).promises(items), strict=True)
         found.append({item.key: promise.misfit for item, promise in promises if promise is not None})

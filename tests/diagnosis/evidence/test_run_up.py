@@ -37,7 +37,7 @@ def test_first_order_sensitivities_promise_what_a_linear_law_then_explains():
     diagram = load("jeffcott")
     evidence = waveform_evidence(diagram, runs_of(Machine(bow=1.6e-6), 6, 1.5))
     base = evidence.fit(with_uncertain(diagram), [])
-    [bow] = Catalogue.of(diagram, ["residual_bow"], False).candidates(diagram, evidence.recorded)
+    [bow] = Catalogue.of(diagram, ["residual_bow"]).candidates(diagram, evidence.recorded)
     document = bow.document(values_in(base.document, base.values), {"amplitude": 1e-5, "phase": 2.0})
     starts = [[dict(zip(bow.free, (size, 2.0), strict=True))] for size in (1e-5, 1e-3)]
     here = evidence.promise(values_in(base.document, base.values), [[{}]])
@@ -71,7 +71,7 @@ def test_a_fit_begins_at_what_is_known_to_be_near():
     rotor does not reach has no slope, and a rub that was found was lost once the noise was measured anew."""
     ring, diagram = Ring(), load("jeffcott")
     evidence = waveform_evidence(diagram, runs_of(Machine(), 8, 1.5, ring))
-    [rub] = Catalogue.of(diagram, ["rub"], False).candidates(diagram, evidence.recorded)
+    [rub] = Catalogue.of(diagram, ["rub"]).candidates(diagram, evidence.recorded)
     far = rub.document(diagram.document, {"gap": 1.0, "stiffness": 1e5, "friction": 0.1})
     known = {**evidence.near, **{f"rub.{name}": value for name, value in vars(ring).items()}}
     assert evidence.parts
