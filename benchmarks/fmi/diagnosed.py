@@ -1,10 +1,11 @@
 """Whether a diagnosis is the same where a part of the diagram is its own FMU.
 
 ``python -m benchmarks.fmi.diagnosed RECORDINGS [--cases dev01 ...] [--block rotor] [--workers N]``
+``python -m benchmarks.fmi.diagnosed RECORDINGS --diagram FILE --sets generic/development --cases kdev02 --block BLOCK``
 
-`jeffcott` as it is, and with a block replaced by its FMU for Model Exchange (2.0, in this process), on sets of
-RECORDINGS/concealed_development: verdict, what is missing and where, and how far free parameters are off, by their
-standard deviation. Exit 1 where a verdict, a name or a place differs. Some minutes a set.
+A diagram (`jeffcott`) as it is, and with a block replaced by its FMU for Model Exchange (2.0, in this process), on sets
+of a folder of RECORDINGS (concealed_development): verdict, what is missing and where, and how far free parameters are
+off, by their standard deviation. Exit 1 where a verdict, a name or a place differs. Some minutes a set.
 """
 
 from __future__ import annotations
@@ -33,16 +34,18 @@ def main() -> int:
     parser.add_argument("recordings", type=Path)
     parser.add_argument("--cases", nargs="+", default=list(SIX))
     parser.add_argument("--block", default="rotor")
+    parser.add_argument("--diagram", default="jeffcott")
+    parser.add_argument("--sets", default="concealed_development")
     parser.add_argument("--workers", type=int, default=1)
     given = parser.parse_args()
-    sets = sorted((given.recordings / "concealed_development").iterdir())
+    sets = sorted((given.recordings / given.sets).iterdir())
     rows, same = [], True
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        replaced = _replaced(folder, given.block)
+        replaced = _replaced(folder, given.diagram, given.block)
         for case in given.cases:
             recording = next(path for path in sets if path.name.startswith(case))
-            plain, plain_time = _diagnosis("jeffcott", recording, folder / f"{case}_plain", given.workers)
+            plain, plain_time = _diagnosis(given.diagram, recording, folder / f"{case}_plain", given.workers)
             other, other_time = _diagnosis(str(replaced), recording, folder / f"{case}_fmu", given.workers)
             alike = plain["verdict"] == other["verdict"] and _names(plain) == _names(other)
             same = same and alike
@@ -73,9 +76,9 @@ def main() -> int:
     return int(not same)
 
 
-def _replaced(folder: Path, block: str) -> Path:
-    """Write jeffcott with a block replaced by its FMU."""
-    plain = load("jeffcott")
+def _replaced(folder: Path, diagram: str, block: str) -> Path:
+    """Write a diagram with a block replaced by its FMU."""
+    plain = load(diagram)
     export_fmu(plain, folder / "part.fmu", blocks=[block])
     document = copy.deepcopy(dict(plain.document))
     values = {"in_process": True, "interface": "me"}
