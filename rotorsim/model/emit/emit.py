@@ -8,7 +8,7 @@ terms shared by stages are computed once; large ones get the right-hand side, ca
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial, reduce
 from importlib import resources
@@ -21,6 +21,7 @@ from rotorsim.model.emit.affine import collapse_linear
 from rotorsim.model.emit.angle_recurrence import share_harmonics
 from rotorsim.model.emit.pairing import paired_constants, paired_states
 from rotorsim.model.emit.program import Pass, Program
+from rotorsim.model.emit.turning import Angle, emit_angles, turning_angles
 from rotorsim.model.emit.writer import Writer, array_leaf, call_table, called_functions
 from rotorsim.model.runge_kutta import RK4
 from rotorsim.model.trace.diagram import Trace
@@ -40,7 +41,8 @@ class Kernel:
     """The programs of one diagram, cut by what they depend on.
 
     constants, forcing: nodes of ``program`` computed per run and per instant; xdot, outputs, update: nodes.
-    order: the states as the unrolled step lays them out.
+    angles: of sines and cosines in the forcing that a run may get by rotation. order: the states as the unrolled step
+    lays them out.
     """
 
     program: Program
@@ -50,6 +52,7 @@ class Kernel:
     outputs: tuple[int, ...]
     update: tuple[int, ...]
     trace: Trace
+    angles: tuple[Angle, ...] = ()
     order: tuple[int, ...] = ()
     sizes: Mapping[str, int] = field(default_factory=dict)
 
@@ -97,6 +100,7 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
         outputs=tuple(nodes[n : n + m]),
         update=tuple(nodes[n + m :]),
         trace=trace,
+        angles=() if trace.samplers else turning_angles(program, moving),
         order=tuple(state for group in groups for state in group),
         sizes={"RS_NX": n, "RS_NZ": len(update), "RS_NY": m, "RS_NS": len(trace.samplers), "RS_NW": trace.w.numel()},
     )
@@ -129,6 +133,7 @@ def emit_c(kernel: Kernel, calling: tuple[Sequence[str], str] | None = None) -> 
     parts = [
         written("rs_constants", {}, "const double *restrict p", "p", "c", kernel.constants),
         written("rs_forcing", constants, at_time, "t, p, c", "g", kernel.forcing),
+        _turning(kernel, written, constants, at_time),
         written("rs_rhs", given, state, "x, z, p, c, g", "xdot", kernel.xdot),
         written("rs_outputs", given, state, "x, z, p, c, g", "y", kernel.outputs),
     ]
@@ -140,6 +145,7 @@ def emit_c(kernel: Kernel, calling: tuple[Sequence[str], str] | None = None) -> 
         **kernel.sizes,
         "RS_NC": len(kernel.constants),
         "RS_NG": len(kernel.forcing),
+        "RS_NA": len(kernel.angles),
         "RS_STAGES": len(RK4.b),
         "RS_WORK": max(size for _, size in parts),
         "RS_UNROLLED": int(kernel.unrolled),
@@ -158,6 +164,22 @@ def emit_c(kernel: Kernel, calling: tuple[Sequence[str], str] | None = None) -> 
             head.append(f"static const int {name}[] = {{{', '.join(map(str, values))}}};")
     runtime = resources.files("rotorsim.model.emit").joinpath("runtime.c").read_text(encoding="utf-8")
     return "\n".join([*head, table, *(text for text, _ in parts), runtime, connect])
+
+
+def _turning(
+    kernel: Kernel, written: Callable[..., tuple[str, int]], constants: Mapping[int, str], at_time: str
+) -> tuple[str, int]:
+    """Return the text of the angles, and of the forcing where their cosines and sines are known."""
+    if not kernel.angles:
+        return "", 0
+    turned = {one.cosine: f"a[{6 * k}]" for k, one in enumerate(kernel.angles)}
+    turned |= {one.sine: f"a[{6 * k + 1}]" for k, one in enumerate(kernel.angles)}
+    known = {node: text for node, text in turned.items() if node >= 0} | dict(constants)
+    text, size = written(
+        "rs_forcing_turned", known, f"{at_time}, const double *restrict a", "t, p, c, a", "g", kernel.forcing
+    )
+    vectors = resources.files("rotorsim.model.emit").joinpath("turning.c").read_text(encoding="utf-8")
+    return "\n".join([vectors, emit_angles(kernel.program, kernel.angles), text]), size
 
 
 @dataclass(frozen=True)

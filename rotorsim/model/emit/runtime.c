@@ -2,10 +2,11 @@
  *
  * It is appended to the generated functions of one diagram and is the same in process and in an FMU.
  * Generated before it: RS_NX states, RS_NZ discrete states, RS_NC values that depend on parameters only,
- * RS_NG values that depend on time and parameters only, RS_NY recorded values, RS_NS samplers,
+ * RS_NG values that depend on time and parameters only, RS_NA angles that may turn evenly (turning.c), RS_NY recorded
+ * values, RS_NS samplers,
  * RS_NW random draws, RS_STAGES of a step, RS_WORK work space, RS_UNROLLED (1: the states of rs_step are laid
  * out as rs_order says), and the functions
- * rs_constants, rs_forcing, rs_rhs, rs_outputs, rs_update, rs_step. With RS_STATIC defined no function is exported.
+ * rs_constants, rs_forcing, rs_forcing_turned (with angles), rs_rhs, rs_outputs, rs_update, rs_step. With RS_STATIC defined no function is exported.
  *
  * One instance is one block of doubles m, laid out as below; nothing else holds state.
  */
@@ -20,7 +21,8 @@
 #define RS_AT_NEW (RS_AT_COUNT + RS_NS)
 #define RS_AT_ROW (RS_AT_NEW + RS_NZ)
 #define RS_AT_WORK (RS_AT_ROW + RS_NY)
-#define RS_SIZE (RS_AT_WORK + RS_WORK + 1)
+#define RS_AT_TURN (RS_AT_WORK + RS_WORK)
+#define RS_SIZE (RS_AT_TURN + (RS_NA ? 5 + 6 * RS_NA : 0) + 1)
 
 #if defined(RS_STATIC) /* an FMU shows its FMI functions alone */
 #define RS_EXPORT static
@@ -33,18 +35,31 @@
 RS_EXPORT int64_t rs_size(void) { return RS_SIZE; }
 
 /* Compute everything that depends on parameters only. */
-RS_EXPORT void rs_prepare(const double *p, double *m) { rs_constants(p, m + RS_AT_C, m + RS_AT_WORK); }
+RS_EXPORT void rs_prepare(const double *p, double *m) {
+  rs_constants(p, m + RS_AT_C, m + RS_AT_WORK);
+#if RS_NA > 0
+  m[RS_AT_TURN + RS_TURN_H] = 0.0; /* the vectors hold for no run */
+#endif
+}
+
+/* Return the forcing at an instant: where a run is just there, that of the run, which is in front; it stays as it is. */
+static const double *rs_forcing_of(double t, const double *p, double *m) {
+#if RS_NA > 0
+  const double *turn = m + RS_AT_TURN;
+  if (turn[RS_TURN_H] != 0.0 && t == turn[RS_TURN_T0] + turn[RS_TURN_AT] * turn[RS_TURN_H]) return m + RS_AT_G;
+#endif
+  rs_forcing(t, p, m + RS_AT_C, m + RS_AT_G + RS_NG, m + RS_AT_WORK);
+  return m + RS_AT_G + RS_NG;
+}
 
 /* Right-hand side dx/dt at one instant. */
 RS_EXPORT void rs_derivative(double t, const double *x, const double *z, const double *p, double *m, double *xdot) {
-  rs_forcing(t, p, m + RS_AT_C, m + RS_AT_G, m + RS_AT_WORK);
-  rs_rhs(x, z, p, m + RS_AT_C, m + RS_AT_G, xdot, m + RS_AT_WORK);
+  rs_rhs(x, z, p, m + RS_AT_C, rs_forcing_of(t, p, m), xdot, m + RS_AT_WORK);
 }
 
 /* Recorded values at one instant. */
 RS_EXPORT void rs_record(double t, const double *x, const double *z, const double *p, double *m, double *y) {
-  rs_forcing(t, p, m + RS_AT_C, m + RS_AT_G, m + RS_AT_WORK);
-  rs_outputs(x, z, p, m + RS_AT_C, m + RS_AT_G, y, m + RS_AT_WORK);
+  rs_outputs(x, z, p, m + RS_AT_C, rs_forcing_of(t, p, m), y, m + RS_AT_WORK);
 }
 
 /* Right-hand sides of n instants: t (n), x (n, NX), z (NZ), p (n, NP) -> xdot (n, NX). */
@@ -108,6 +123,9 @@ RS_EXPORT double rs_next(const double *p, const double *m) { return rs_next_hit(
 
 /* Begin at time t: forcing of this instant, sample hits due. The states are in m already. */
 RS_EXPORT void rs_start(double t, const double *p, double *m) {
+#if RS_NA > 0
+  m[RS_AT_TURN + RS_TURN_H] = 0.0;
+#endif
   rs_forcing(t, p, m + RS_AT_C, m + RS_AT_G, m + RS_AT_WORK);
 #if RS_NS > 0
   for (int s = 0; s < RS_NS; ++s) m[RS_AT_COUNT + s] = ceil(t / p[rs_period[s]] - 1e-9);
@@ -138,6 +156,11 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
   double *z = m + RS_AT_Z, *c = m + RS_AT_C, *work = m + RS_AT_WORK, *k = m + RS_AT_K;
   double *g0 = m + RS_AT_G, *gm = g0 + RS_NG, *g1 = gm + RS_NG;
   int64_t n = n0, until_row = (every - n0 % every) % every;
+#if RS_NA > 0
+  double turn[RS_TURN_VECTORS + 6 * RS_NA];
+  memcpy(turn, m + RS_AT_TURN, sizeof turn);
+  if (turn[RS_TURN_AT] != (double)n0 || turn[RS_TURN_T0] != t0 || turn[RS_TURN_H] != h) turn[RS_TURN_END] = (double)n0;
+#endif
   for (; n < n1; ++n) {
     double *row = m + RS_AT_ROW;
     if (until_row == 0) row = rows, rows += RS_NY, until_row = every;
@@ -161,8 +184,20 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
       t = stop, row = m + RS_AT_ROW;
     }
 #else
-    rs_forcing(t0 + ((double)n + 0.5) * h, p, c, gm, work);
-    rs_forcing(t0 + (double)(n + 1) * h, p, c, g1, work);
+    const double middle = t0 + ((double)n + 0.5) * h, end = t0 + (double)(n + 1) * h;
+#if RS_NA > 0
+    if ((double)n >= turn[RS_TURN_END]) rs_turn_set(turn, p, t0, h, n);
+    if (turn[RS_TURN_KIND] != RS_NOT_EVEN) {
+      rs_turn_on(turn);
+      rs_forcing_turned(middle, p, c, turn + RS_TURN_VECTORS, gm, work);
+      rs_turn_on(turn);
+      rs_forcing_turned(end, p, c, turn + RS_TURN_VECTORS, g1, work);
+    } else
+#endif
+    {
+      rs_forcing(middle, p, c, gm, work);
+      rs_forcing(end, p, c, g1, work);
+    }
     rs_step(x, z, p, c, g0, gm, g1, h, row, k, work);
     double *swap = g0;
     g0 = g1, g1 = swap;
@@ -180,6 +215,10 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
   }
 #if RS_UNROLLED
   for (int i = 0; i < RS_NX; ++i) m[RS_AT_X + rs_order[i]] = x[i];
+#endif
+#if RS_NA > 0
+  turn[RS_TURN_AT] = (double)n, turn[RS_TURN_T0] = t0, turn[RS_TURN_H] = h;
+  memcpy(m + RS_AT_TURN, turn, sizeof turn);
 #endif
   if (g0 != m + RS_AT_G) { /* the forcing of the current instant stays in front */
     for (int i = 0; i < RS_NG; ++i) {
