@@ -47,9 +47,7 @@ def jeffcott() -> list[Line]:
     ratio, elementary = times["jeffcott"] / plain, times["jeffcott_elementary"] / times["jeffcott"]
     return [
         at_most("jeffcott, simulate(), CPU time / plain C", ratio, 0.12, also=f" ({plain * 1e3:.1f} ms C)"),
-        Line(
-            "   limit by hand (rotated vector, series by recurrence) / plain C", f"{hand / plain:.3g}"
-        ),
+        Line("   limit by hand (rotated vector, series by recurrence) / plain C", f"{hand / plain:.3g}"),
         at_most("jeffcott_elementary / jeffcott", elementary, 1.05, "{:.3f}"),
         Line("   without a compiler (CasADi's virtual machine) / plain C", f"{times['machine'] / plain:.3g}"),
     ]

@@ -5,7 +5,7 @@ Both keep the same promises:
 1. ``x`` (n_x,) and ``z`` (n_z,) are the current states; they may be read and written between calls.
 2. ``start(t)`` must be called once; it carries out the sample hits due at t.
 3. ``run(n0, n1, t0, h, every, rows)`` takes RK4 steps n0..n1-1; a row is recorded at the start of every
-   step divisible by ``every``; it returns the step reached (less than n1 if a state is not finite).
+   step divisible by ``every``; it returns the step reached (less than n1 if a state is not `sound`).
 4. ``derivative(t, x)`` and ``record(t, x)`` are pure; ``sample(t)`` carries out hits due at t.
 """
 
@@ -23,6 +23,7 @@ from rotorsim.model.emit.emit import Kernel, step_program
 from rotorsim.model.emit.program import INPUT
 
 HIT_TOLERANCE = 1e-9  # of the period, as in runtime.c
+LARGEST_NUMBER = 1e290  # of all states together, as in runtime.c: what is recorded is still a number in micrometres
 
 
 class Told(ctypes.Structure):
@@ -47,6 +48,11 @@ class Instance(Protocol):
     def next_hit(self) -> float: ...
     def save(self) -> Any: ...
     def restore(self, saved: Any) -> None: ...
+
+
+def sound(x: np.ndarray) -> bool:
+    """Return whether states (n_x,) are numbers within all bounds."""
+    return bool(np.abs(x).sum() <= LARGEST_NUMBER)
 
 
 def make_instance(model: Model, record: Sequence[str], p: np.ndarray, *, use_compiler: bool = True) -> Instance:
@@ -159,8 +165,12 @@ class InterpretedInstance:
         arguments = [symbols[name] for name in ("t", "p", "c")]
         self._forcing = ca.Function("forcing", arguments, [program.to_casadi(kernel.forcing, leaves, known)])
         arguments = [symbols[name] for name in ("x", "z", "p", "c", "g0", "gm", "g1", "h")]
-        results = [step.program.to_casadi(nodes, leaves, {}) for nodes in (step.new, step.y)]
-        self._step = ca.Function("step", arguments, results)
+        d = ca.SX.sym("d", len(step.constants))
+        follows = {node: d[k] for k, node in enumerate(step.constants)}
+        results = [step.program.to_casadi(nodes, leaves, follows) for nodes in (step.new, step.y)]
+        self._step = ca.Function("step", [*arguments, d], results)
+        arguments = [symbols[name] for name in ("h", "p", "c")]
+        self._of_step = ca.Function("of_step", arguments, [step.program.to_casadi(step.constants, leaves, {})])
 
     def start(self, t: float) -> None:
         self.counts = np.array([np.ceil(t / self.p[s.period] - HIT_TOLERANCE) for s in self.samplers])
@@ -197,7 +207,7 @@ class InterpretedInstance:
             rows[out : out + len(wanted)] = values[wanted]
             out += len(wanted)
             n += count
-            if not np.isfinite(self.x).all():
+            if not sound(self.x):
                 break
         return n
 
@@ -207,7 +217,8 @@ class InterpretedInstance:
         g = self._forcing_at(t0 + (n + 0.5 * np.arange(2 * count + 1)) * h)
         z = ca.repmat(ca.DM(self.z), 1, count)
         parts = [ca.DM(np.ascontiguousarray(g[:, k : k + 2 * count : 2])) for k in range(3)]
-        arguments = (self.x, z, *self._constants(count), *parts, ca.repmat(ca.DM(h), 1, count))
+        of_step = [ca.repmat(ca.DM(a), 1, count) for a in (h, self._of_step(h, self.p[self._used], self._c))]
+        arguments = (self.x, z, *self._constants(count), *parts, *of_step)
         states, y = self._many[count](*arguments)
         self.x = np.array(states)[:, -1]
         return np.array(y).T
@@ -230,7 +241,10 @@ class InterpretedInstance:
             if stop > end - HIT_TOLERANCE * h:
                 stop = end
             g = self._forcing_at(np.array([t, t + 0.5 * (stop - t), stop]))
-            new, y = self._step(self.x, self.z, self.p[self._used], self._c, g[:, 0], g[:, 1], g[:, 2], stop - t)
+            given, h_now = (self.p[self._used], self._c), stop - t
+            new, y = self._step(
+                self.x, self.z, *given, *(g[:, k] for k in range(3)), h_now, self._of_step(h_now, *given)
+            )
             self.x = np.array(new).ravel()
             row = np.array(y).reshape(1, -1) if row is None else row
             self.sample(stop)

@@ -6,7 +6,7 @@ are, and live beside them in z: compiled code, instances and the C runtime need 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
 from typing import Any
@@ -109,17 +109,17 @@ def _restricted(diagram: Diagram, whole: Trace, blocks: tuple[str, ...], given: 
     events = [k for k, block in enumerate(whole.event_blocks) if block in inside]
     trace = replace(
         whole,
-        x=whole.x[x],
-        z=ca.vertcat(whole.z[z], u),
+        x=_rows(whole.x, x),
+        z=ca.vertcat(_rows(whole.z, z), u),
         v=ca.SX(0, 1),
-        w=whole.w[draws],
-        hit=whole.hit[[whole.samplers.index(s) for s in samplers]],
-        xdot=told(whole.xdot[x]),
-        z_next=ca.vertcat(told(whole.z_next[z]) if z else ca.SX(0, 1), u),
-        x0=whole.x0[x],
-        z0=ca.vertcat(whole.z0[z], ca.SX.zeros(u.numel())),
+        w=_rows(whole.w, draws),
+        hit=_rows(whole.hit, [whole.samplers.index(s) for s in samplers]),
+        xdot=told(_rows(whole.xdot, x)),
+        z_next=ca.vertcat(told(_rows(whole.z_next, z)), u),
+        x0=_rows(whole.x0, x),
+        z0=ca.vertcat(_rows(whole.z0, z), ca.SX.zeros(u.numel())),
         signals=signals,
-        events=told(whole.events[events]) if events else ca.SX(0, 1),
+        events=told(_rows(whole.events, events)),
         loop_residuals=told(whole.loop_residuals),
         states=_packed(signal for signal in whole.states.values() if _block(signal) in inside),
         discrete_states=_packed(discrete),
@@ -137,6 +137,11 @@ def _restricted(diagram: Diagram, whole: Trace, blocks: tuple[str, ...], given: 
     if not all(ca.depends_on(known, symbol) for symbol in needed):
         raise RotorsimError(Problem("it depends on states outside", ", ".join(blocks)))
     return Part(diagram, trace, blocks, external)
+
+
+def _rows(column: Any, chosen: Sequence[int]) -> Any:
+    """Return rows of a column; none of one row alone is 1 x 0 to CasADi, and counts as a row beside others."""
+    return column[chosen] if chosen else ca.SX(0, 1)
 
 
 def _block(signal: Signal) -> str:

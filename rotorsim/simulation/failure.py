@@ -10,7 +10,7 @@ import numpy as np
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.stability import growing, largest_stable_step, rounded_down, step_factor
 from rotorsim.model.compiled import Model
-from rotorsim.model.instance import Instance
+from rotorsim.model.instance import Instance, sound
 
 AT_VALUES = {"value", "discard", "error"}  # how a part fails where it gets values that it cannot take
 OUTGROWN = 1e6  # by the growth of a pole since the start: what was small beside the motion meant is far beyond it
@@ -65,10 +65,11 @@ def describe_failure(
     before = instance.x.copy()
     while n < reached:
         n = instance.run(n, n + 1, 0.0, h, every, rows[-(-n // every) :])
-        if not np.isfinite(instance.x).all():
+        if not sound(instance.x):
             break
         before = instance.x.copy()
     bad = np.flatnonzero(~np.isfinite(instance.x))
+    bad = bad if len(bad) else np.arange(len(before))
     worst = int(bad[np.argmax(np.abs(before[bad]))]) if len(bad) else 0
     state = next(name for name, signal in model.states.items() if signal.part.start <= worst < signal.part.stop)
     why, cause = growth(model, instance, h)

@@ -16,7 +16,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.called import forget_failures, raise_failure
 from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.model.input_limits import input_limits, passed_limit
-from rotorsim.model.instance import Instance, make_instance
+from rotorsim.model.instance import Instance, make_instance, sound
 from rotorsim.simulation.failure import Verdict, describe_failure, diverged_inside, interrupted
 from rotorsim.simulation.result import Result, cut
 from rotorsim.simulation.switching import SwitchingInstance, carrying_out_events
@@ -227,7 +227,7 @@ def _run_rk4(
             begun = clock.perf_counter()
             n = instance.run(n, until, 0.0, h, every, rows[-(-n // every) :])
             raise_failure()
-            if not np.isfinite(instance.x).all():
+            if not sound(instance.x):
                 instance.restore(saved)
                 n = first
                 n, verdict = describe_failure(model, instance, first, until, h, every, rows)

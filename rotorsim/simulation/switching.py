@@ -16,7 +16,7 @@ import numpy as np
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.called import event_that_waits, forget_failures, has_failed, raise_failure
 from rotorsim.model.compiled import Model
-from rotorsim.model.instance import CompiledInstance, Instance, Told
+from rotorsim.model.instance import CompiledInstance, Instance, Told, sound
 from rotorsim.model.mode import Mode, ModeOf, modes_of
 from rotorsim.simulation.event_steps import ACCUMULATE, EventSteps, rounding
 
@@ -120,7 +120,7 @@ class SwitchingInstance(EventSteps):
         while n < n1:
             if self.stepwise:
                 n = self._told_steps(n, n1, t0, h, every, rows, first)
-                if has_failed() or not np.isfinite(self.inner.x).all():
+                if has_failed() or not sound(self.inner.x):
                     return n
                 continue
             begun, until, saved = n, min(n + self._ahead, n1), self.inner.save()

@@ -215,6 +215,10 @@ def test_the_first_hit_sees_the_signals_of_the_start() -> None:
     )
     found = cosimulate_diagram(shifted, [["hold"]], step=0.1)
     assert found["hold.output"][:4] == pytest.approx(np.sin([1.0, 1.0, 1.0, 2.5]), rel=1e-12)
+    whole = simulate(shifted)["end.output"][
+        :: round(0.1 / shifted.solver.step)
+    ]  # what is held gets to the part behind it
+    assert found["end.output"] == pytest.approx(whole, rel=1e-9)
 
 
 @pytest.mark.parametrize("interface", ["cs", "me"])

@@ -13,7 +13,7 @@ import pytest
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.emit.emit import emit_c
-from rotorsim.model.instance import CompiledInstance, make_instance
+from rotorsim.model.instance import LARGEST_NUMBER, CompiledInstance, make_instance
 from rotorsim.model.load import load
 from rotorsim.simulation.run import simulate
 
@@ -103,3 +103,5 @@ def test_what_decides() -> None:
     source = emit_c(compile_diagram(load("jeffcott")).kernel(()))
     assert "#define RS_BLOCK 128 " in source
     assert "#define RS_EVEN 1e-17 " in source
+    assert "#define RS_LARGEST 1e290 " in source
+    assert LARGEST_NUMBER == 1e290

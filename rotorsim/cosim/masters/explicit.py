@@ -218,7 +218,8 @@ def _sources(coupling: Coupling[Participant], k: int, rates: Sequence[int]) -> l
 
 def _held_mismatch(coupling: Coupling[Participant], rows: np.ndarray) -> np.ndarray:
     """Return of rows of outputs (n, n_y) the mismatch of each step, inputs held: |u_k - u_(k-1)| / max |u|."""
-    u = rows @ coupling.L.T + coupling.u0
-    largest = np.maximum.accumulate(np.abs(u[1:]), axis=0)
-    relative = np.abs(np.diff(u, axis=0)) / np.where(largest > 0, largest, 1.0)
+    with np.errstate(over="ignore", invalid="ignore"):  # where a run diverges
+        u = rows @ coupling.L.T + coupling.u0
+        largest = np.maximum.accumulate(np.abs(u[1:]), axis=0)
+        relative = np.abs(np.diff(u, axis=0)) / np.where(largest > 0, largest, 1.0)
     return np.concatenate([[0.0], relative.max(axis=1, initial=0.0)])

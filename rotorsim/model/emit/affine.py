@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 
-MOST_OPERATIONS = 400  # operations of the right-hand side above which collapsing is not tried
 Form = tuple[dict[int, int], int]  # atom -> coefficient node, and the node of the rest; all of the new program
 
 
@@ -22,23 +21,21 @@ def state_operations(program: Program, outputs: Sequence[int]) -> int:
     return sum(program.levels[k] == ir.LEVEL_STATE and program.nodes[k][0] != ir.INPUT for k in program.needed(outputs))
 
 
-def collapse_linear(old: Program, outputs: Sequence[int], *, n_rates: int) -> tuple[Program, list[int]]:
-    """Return an equal program and its outputs, or the old one where that is no gain (with ``n_rates`` a `Pass`).
+def collapse_linear(old: Program, outputs: Sequence[int], *, n_rates: int, most: int) -> tuple[Program, list[int]]:
+    """Return an equal program and its outputs, or the old one where that is no gain (a `Pass`, with the rest given).
 
-    n_rates: how many outputs are the right-hand side, evaluated four times a step; the others are evaluated once.
+    n_rates: how many outputs, the first, are rates, or states after a step: they alone decide, so that a motion does
+    not depend on what is recorded, to the last bit. most: of their operations, above which it is not tried.
     """
-
-    def work(program: Program, nodes: Sequence[int]) -> int:
-        return 4 * state_operations(program, nodes[:n_rates]) + state_operations(program, nodes[n_rates:])
-
-    if state_operations(old, outputs[:n_rates]) > MOST_OPERATIONS:
+    before = state_operations(old, outputs[:n_rates])
+    if before > most:
         return old, list(outputs)
-    new = Program(old.reassociate)
+    new = Program(old.reassociate, old.inputs)
     forms: dict[int, Form] = {}
     for number in old.needed(outputs):
         forms[number] = _form(old, new, number, forms)
     collapsed = [_node(new, forms[number]) for number in outputs]
-    return (new, collapsed) if work(new, collapsed) < work(old, outputs) else (old, list(outputs))
+    return (new, collapsed) if state_operations(new, collapsed[:n_rates]) < before else (old, list(outputs))
 
 
 def _form(old: Program, new: Program, number: int, forms: dict[int, Form]) -> Form:
@@ -80,9 +77,14 @@ def _scaled(new: Program, form: Form, factor: int) -> Form:
 
 
 def _node(new: Program, form: Form) -> int:
-    """Return the node of a form: the largest part first, in the order in which the states are laid out."""
+    """Return the node of a form: what does not change first, then inputs in the order of their vectors."""
+
+    def place(atom: int) -> tuple[bool, str, int, int]:
+        op, vector, position = new.nodes[atom]
+        return op != ir.INPUT, str(vector) if op == ir.INPUT else "", position, atom
+
     total = form[1]
-    for atom in sorted(form[0], key=lambda k: (new.nodes[k][0] != ir.INPUT, new.nodes[k][2], k)):
+    for atom in sorted(form[0], key=place):
         coefficient = form[0][atom]
         if new.is_constant(coefficient, -1.0):
             total = new.apply(ir.SUB, total, atom)

@@ -32,7 +32,7 @@ def share_harmonics(old: Program, outputs: Sequence[int]) -> tuple[Program, list
         for number in needed
         if old.nodes[number][0] in (ir.SIN, ir.COS) and old.levels[number] >= ir.LEVEL_TIME
     }
-    new = Program(old.reassociate)
+    new = Program(old.reassociate, old.inputs)
     copied: dict[int, int] = {}
     harmonics = _Harmonics(old, new, copied, forms.values())
     for number in needed:

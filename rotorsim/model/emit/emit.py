@@ -3,7 +3,8 @@
 What depends on parameters only is computed once per run (`rs_constants`), what depends on time and
 parameters once per instant (`rs_forcing`; the instant t + h serves the next step too), and only the rest
 in each of the four stages. Small diagrams get the whole RK4 step as one straight function, so that
-terms shared by stages are computed once; large ones get the right-hand side, called four times.
+terms shared by stages are computed once, what follows from the length of the step once per run
+(`rs_step_constants`), and what is linear is one sum; large ones get the right-hand side, called four times.
 """
 
 from __future__ import annotations
@@ -19,20 +20,20 @@ import casadi as ca
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.affine import collapse_linear
 from rotorsim.model.emit.angle_recurrence import share_harmonics
-from rotorsim.model.emit.pairing import paired_constants, paired_states
 from rotorsim.model.emit.program import Pass, Program
 from rotorsim.model.emit.turning import Angle, emit_angles, turning_angles
 from rotorsim.model.emit.writer import Writer, array_leaf, call_table, called_functions
 from rotorsim.model.runge_kutta import RK4
 from rotorsim.model.trace.diagram import Trace
 
+MOST_COLLAPSED = 400  # operations of the right-hand side above which it is not tried to collapse them
 UNROLL_LIMIT = 1500  # operations of the right-hand side above which the step is not unrolled
-LARGEST_PAIRED = 200  # states up to which axes of one form are laid out side by side
+STEP_INPUTS = {"p": ir.LEVEL_PARAMETER, "c": ir.LEVEL_PARAMETER, "h": ir.LEVEL_PARAMETER}
 FORCING_AT = {0.0: "g0", 0.5: "gm", 1.0: "g1"}  # forcing at t + c h
 STEP_ARGUMENTS = (
     "double *restrict x, const double *restrict z, const double *restrict p, const double *restrict c, "
     "const double *restrict g0, const double *restrict gm, const double *restrict g1, double h, "
-    "double *restrict y, double *restrict k, double *restrict work"
+    "const double *restrict d, double *restrict y, double *restrict k, double *restrict work"
 )
 
 
@@ -41,8 +42,7 @@ class Kernel:
     """The programs of one diagram, cut by what they depend on.
 
     constants, forcing: nodes of ``program`` computed per run and per instant; xdot, outputs, update: nodes.
-    angles: of sines and cosines in the forcing that a run may get by rotation. order: the states as the unrolled step
-    lays them out.
+    angles: of sines and cosines in the forcing that a run may get by rotation.
     """
 
     program: Program
@@ -53,7 +53,6 @@ class Kernel:
     update: tuple[int, ...]
     trace: Trace
     angles: tuple[Angle, ...] = ()
-    order: tuple[int, ...] = ()
     sizes: Mapping[str, int] = field(default_factory=dict)
 
     @property
@@ -82,16 +81,12 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
     program.reassociate = True
     n, m = len(xdot), len(outputs)
     nodes = [*xdot, *outputs, *update]
-    passes: tuple[Pass, ...] = (share_harmonics, partial(collapse_linear, n_rates=n))
+    passes: tuple[Pass, ...] = (share_harmonics, partial(collapse_linear, n_rates=n, most=MOST_COLLAPSED))
     for rewrite in passes:
         program, nodes = rewrite(program, nodes)
     moving = [k for k in program.boundary(nodes, ir.LEVEL_TIME) if program.levels[k] == ir.LEVEL_TIME]
     hoisted = program.boundary([*nodes, *moving], ir.LEVEL_PARAMETER)
     ordered = [k for k in hoisted if program.nodes[k][0] != ir.INPUT]
-    groups = [[state] for state in range(n)]
-    if n <= LARGEST_PAIRED:
-        groups = paired_states(program, nodes[:n])
-        ordered = paired_constants(program, nodes[:n], groups, ordered)
     return Kernel(
         program=program,
         constants=tuple(ordered),
@@ -101,7 +96,6 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
         update=tuple(nodes[n + m :]),
         trace=trace,
         angles=() if trace.samplers else turning_angles(program, moving),
-        order=tuple(state for group in groups for state in group),
         sizes={"RS_NX": n, "RS_NZ": len(update), "RS_NY": m, "RS_NS": len(trace.samplers), "RS_NW": trace.w.numel()},
     )
 
@@ -140,20 +134,20 @@ def emit_c(kernel: Kernel, calling: tuple[Sequence[str], str] | None = None) -> 
     if kernel.trace.samplers:
         at_hit = f"{state}, const double *w, const double *hit"
         parts.append(written("rs_update", given, at_hit, "x, z, p, c, g, w, hit", "zn", kernel.update))
-    parts.append(_unrolled_step(kernel, called) if kernel.unrolled else (_staged_step(), 0))
+    step = step_program(kernel) if kernel.unrolled else None
+    parts += _unrolled_step(step, called) if step else [(_staged_step(), 0)]
     sizes = {
         **kernel.sizes,
         "RS_NC": len(kernel.constants),
         "RS_NG": len(kernel.forcing),
         "RS_NA": len(kernel.angles),
+        "RS_ND": len(step.constants) if step else 0,
         "RS_STAGES": len(RK4.b),
         "RS_WORK": max(size for _, size in parts),
         "RS_UNROLLED": int(kernel.unrolled),
     }
     head = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
     head += [f"#define {name} {value}" for name, value in sizes.items()]
-    order = ", ".join(map(str, kernel.order)) or "0"
-    head.append(f"static const int rs_order[] = {{{order}}};")
     for name, values in (
         ("rs_period", [s.period for s in kernel.trace.samplers]),
         ("rs_seed", [s.seed or 0 for s in kernel.trace.samplers]),
@@ -187,18 +181,20 @@ class StepProgram:
     """The step of `RK4` as one program with shared terms.
 
     Its inputs are x, z, p, c (constants of the run), g0, gm, g1 (forcing at t, t + h/2, t + h) and h.
-    x: nodes of the states; y: recorded at the start of the step; new: the states after it.
+    x: nodes of the states; constants: those that follow from h, c and p; y: recorded at the start of the step; new: the
+    states after it.
     """
 
     program: Program
     x: tuple[int, ...]
+    constants: tuple[int, ...]
     y: tuple[int, ...]
     new: tuple[int, ...]
 
 
 def step_program(kernel: Kernel) -> StepProgram:
     """Put the stages of a step of `RK4` into one program, so that terms they share are computed once."""
-    step = Program(reassociate=False)
+    step = Program(reassociate=False, inputs=STEP_INPUTS)
     old = kernel.program
     h = step.input("h", 0)
     n = len(kernel.xdot)
@@ -238,24 +234,31 @@ def step_program(kernel: Kernel) -> StepProgram:
             part = part if weight == 1 else step.apply(ir.MUL, step.constant(float(weight)), part)
             total = part if total < 0 else step.apply(ir.ADD, total, part)
         new.append(step.apply(ir.ADD, x[i], step.apply(ir.MUL, share, total)))
-    return StepProgram(step, tuple(x), tuple(y), tuple(new))
+    nodes = [*new, *y]
+    if not kernel.trace.samplers:  # whose steps have many lengths
+        step, nodes = collapse_linear(step, nodes, n_rates=n, most=4 * MOST_COLLAPSED)
+    x = [step.input("x", i) for i in range(n)]
+    constants = [k for k in step.boundary(nodes, ir.LEVEL_PARAMETER) if step.nodes[k][0] != ir.INPUT]
+    return StepProgram(step, tuple(x), tuple(constants), tuple(nodes[n:]), tuple(nodes[:n]))
 
 
-def _unrolled_step(kernel: Kernel, called: Sequence[str]) -> tuple[str, int]:
-    """Write the step as one C function."""
-    step = step_program(kernel)
+def _unrolled_step(step: StepProgram, called: Sequence[str]) -> list[tuple[str, int]]:
+    """Write the constants of the step, and the step, as one C function each."""
 
     def leaf(node: tuple[int, object, int]) -> str:
         _, vector, position = node
         return "h" if vector == "h" else f"{vector}[{position}]"
 
-    loads = "".join(f"  const double x_{i} = x[{k}];\n" for k, i in enumerate(kernel.order))
+    of_step = "double h, const double *restrict p, const double *restrict c, double *restrict d, double *restrict work"
+    targets = [(f"d[{k}]", node) for k, node in enumerate(step.constants)]
+    constants = Writer(step.program, {}, leaf, called).text("rs_step_constants", of_step, "", targets, whole=True)
+    loads = "".join(f"  const double x_{i} = x[{i}];\n" for i in range(len(step.x)))
     given = {node: f"x_{i}" for i, node in enumerate(step.x)}
+    given |= {node: f"d[{k}]" for k, node in enumerate(step.constants)}
     targets = [(f"y[{k}]", node) for k, node in enumerate(step.y)]
-    targets += [(f"x[{k}]", step.new[i]) for k, i in enumerate(kernel.order)]
-    writer = Writer(step.program, given, leaf, called)
-    text, size = writer.text("rs_step", STEP_ARGUMENTS, "x, z, p, c, g0, gm, g1, h, y, k, work", targets, whole=True)
-    return text.replace("{\n", "{\n" + loads + "  (void)k;\n", 1), size
+    targets += [(f"x[{i}]", node) for i, node in enumerate(step.new)]
+    text, size = Writer(step.program, given, leaf, called).text("rs_step", STEP_ARGUMENTS, "", targets, whole=True)
+    return [constants, (text.replace("{\n", "{\n" + loads + "  (void)k, (void)d, (void)h;\n", 1), size)]
 
 
 def _staged_step() -> str:
@@ -266,7 +269,7 @@ def _staged_step() -> str:
         return f"x[i] + h * ({' + '.join(terms)})"
 
     each = "  for (int i = 0; i < RS_NX; ++i)"
-    lines = ["  rs_outputs(x, z, p, c, g0, y, work);", "  double *restrict at = k + RS_STAGES * RS_NX;"]
+    lines = ["  (void)d;", "  rs_outputs(x, z, p, c, g0, y, work);", "  double *restrict at = k + RS_STAGES * RS_NX;"]
     for stage, (row, c) in enumerate(zip(RK4.a, RK4.c, strict=True)):
         if any(row):
             lines.append(f"{each} at[i] = {combined(row)};")

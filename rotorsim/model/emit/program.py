@@ -95,12 +95,13 @@ class Program:
     value; for CALL a is a `Call`, whose results follow as (RESULT, node of the call, position); else a, b
     are node numbers (b = -1 for one operand). levels[k]: what it depends on.
     ``reassociate`` allows sums and products to be regrouped so that what changes less often is joined first.
+    ``inputs``: levels of vectors that are inputs, by name; of all others it is that of the states.
     """
 
-    def __init__(self, reassociate: bool = True) -> None:
+    def __init__(self, reassociate: bool = True, inputs: Mapping[str, int] = _LEVEL_OF_VECTOR) -> None:
         self.nodes: list[Node] = []
         self.levels: list[int] = []
-        self.reassociate = reassociate
+        self.reassociate, self.inputs = reassociate, inputs
         self._known: dict[Node, int] = {}
 
     def _add(self, node: Node, level: int) -> int:
@@ -117,7 +118,7 @@ class Program:
 
     def input(self, vector: str, position: int) -> int:
         """Return the node of an input; its level follows from the vector's name."""
-        return self._add((INPUT, vector, position), _LEVEL_OF_VECTOR.get(vector, LEVEL_STATE))
+        return self._add((INPUT, vector, position), self.inputs.get(vector, LEVEL_STATE))
 
     def copied(self, node: Node, operands: Mapping[int, int]) -> int:
         """Return the node that a node of another program becomes here; operands: what those of the other became."""

@@ -4,8 +4,8 @@
  * Generated before it: RS_NX states, RS_NZ discrete states, RS_NC values that depend on parameters only,
  * RS_NG values that depend on time and parameters only, RS_NA angles that may turn evenly (turning.c), RS_NY recorded
  * values, RS_NS samplers,
- * RS_NW random draws, RS_STAGES of a step, RS_WORK work space, RS_UNROLLED (1: the states of rs_step are laid
- * out as rs_order says), and the functions
+ * RS_NW random draws, RS_STAGES of a step, RS_WORK work space, RS_UNROLLED (1: rs_step is one straight function, for
+ * which rs_step_constants computes RS_ND values that follow from the length of the step), and the functions
  * rs_constants, rs_forcing, rs_forcing_turned (with angles), rs_rhs, rs_outputs, rs_update, rs_step. With RS_STATIC defined no function is exported.
  *
  * One instance is one block of doubles m, laid out as below; nothing else holds state.
@@ -21,7 +21,8 @@
 #define RS_AT_NEW (RS_AT_COUNT + RS_NS)
 #define RS_AT_ROW (RS_AT_NEW + RS_NZ)
 #define RS_AT_WORK (RS_AT_ROW + RS_NY)
-#define RS_AT_TURN (RS_AT_WORK + RS_WORK)
+#define RS_AT_D (RS_AT_WORK + RS_WORK) /* the length of the step, and what follows from it */
+#define RS_AT_TURN (RS_AT_D + 1 + RS_ND)
 #define RS_SIZE (RS_AT_TURN + (RS_NA ? 5 + 6 * RS_NA : 0) + 1)
 
 #if defined(RS_STATIC) /* an FMU shows its FMI functions alone */
@@ -37,8 +38,9 @@ RS_EXPORT int64_t rs_size(void) { return RS_SIZE; }
 /* Compute everything that depends on parameters only. */
 RS_EXPORT void rs_prepare(const double *p, double *m) {
   rs_constants(p, m + RS_AT_C, m + RS_AT_WORK);
+  m[RS_AT_D] = NAN; /* of no step */
 #if RS_NA > 0
-  m[RS_AT_TURN + RS_TURN_H] = 0.0; /* the vectors hold for no run */
+  m[RS_AT_TURN + RS_TURN_H] = NAN;
 #endif
 }
 
@@ -46,7 +48,7 @@ RS_EXPORT void rs_prepare(const double *p, double *m) {
 static const double *rs_forcing_of(double t, const double *p, double *m) {
 #if RS_NA > 0
   const double *turn = m + RS_AT_TURN;
-  if (turn[RS_TURN_H] != 0.0 && t == turn[RS_TURN_T0] + turn[RS_TURN_AT] * turn[RS_TURN_H]) return m + RS_AT_G;
+  if (t == turn[RS_TURN_T0] + turn[RS_TURN_AT] * turn[RS_TURN_H]) return m + RS_AT_G;
 #endif
   rs_forcing(t, p, m + RS_AT_C, m + RS_AT_G + RS_NG, m + RS_AT_WORK);
   return m + RS_AT_G + RS_NG;
@@ -124,7 +126,7 @@ RS_EXPORT double rs_next(const double *p, const double *m) { return rs_next_hit(
 /* Begin at time t: forcing of this instant, sample hits due. The states are in m already. */
 RS_EXPORT void rs_start(double t, const double *p, double *m) {
 #if RS_NA > 0
-  m[RS_AT_TURN + RS_TURN_H] = 0.0;
+  m[RS_AT_TURN + RS_TURN_H] = NAN;
 #endif
   rs_forcing(t, p, m + RS_AT_C, m + RS_AT_G, m + RS_AT_WORK);
 #if RS_NS > 0
@@ -143,18 +145,42 @@ RS_EXPORT void rs_sample(double t, const double *p, double *m) {
 #endif
 }
 
+/* Have what follows from the length of a step. */
+static const double *rs_step_of(double h, const double *p, double *m) {
+#if RS_ND > 0
+  if (m[RS_AT_D] != h) rs_step_constants(h, p, m + RS_AT_C, m + RS_AT_D + 1, m + RS_AT_WORK);
+#endif
+  m[RS_AT_D] = h;
+  (void)p;
+  return m + RS_AT_D + 1;
+}
+
+#define RS_LARGEST 1e290 /* of all states together, as in instance.py */
+
+/* Whether states are numbers within all bounds. */
+static int rs_bounded(const double *x) {
+  double a = 0.0, b = 0.0;
+  int i = 0;
+  for (; i + 1 < RS_NX; i += 2) a += fabs(x[i]), b += fabs(x[i + 1]);
+  if (i < RS_NX) a += fabs(x[i]);
+  return a + b <= RS_LARGEST;
+}
+
 /* Run steps n0..n1-1 of size h from t0; a row is recorded at the start of every step divisible by `every`.
- * Returns the number of the step reached: less than n1 when a state is no longer finite. */
+ * Returns the number of the step reached: less than n1 when a state is beyond all bounds. */
 RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, double t0, double h, int64_t every,
                          double *rows) {
 #if RS_UNROLLED && RS_NX > 0
-  double x[RS_NX]; /* in the order of the generated step */
-  for (int i = 0; i < RS_NX; ++i) x[i] = m[RS_AT_X + rs_order[i]];
+  double x[RS_NX];
+  memcpy(x, m + RS_AT_X, sizeof x);
 #else
   double *x = m + RS_AT_X;
 #endif
   double *z = m + RS_AT_Z, *c = m + RS_AT_C, *work = m + RS_AT_WORK, *k = m + RS_AT_K;
   double *g0 = m + RS_AT_G, *gm = g0 + RS_NG, *g1 = gm + RS_NG;
+#if RS_NS == 0
+  const double *d = rs_step_of(h, p, m);
+#endif
   int64_t n = n0, until_row = (every - n0 % every) % every;
 #if RS_NA > 0
   double turn[RS_TURN_VECTORS + 6 * RS_NA];
@@ -173,11 +199,11 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
       if (stop > end - 1e-9 * h) stop = end;
       rs_forcing(t + 0.5 * (stop - t), p, c, gm, work);
       rs_forcing(stop, p, c, g1, work);
-      rs_step(x, z, p, c, g0, gm, g1, stop - t, row, k, work);
+      rs_step(x, z, p, c, g0, gm, g1, stop - t, rs_step_of(stop - t, p, m), row, k, work);
       double *swap = g0;
       g0 = g1, g1 = swap;
-#if RS_UNROLLED
-      for (int i = 0; i < RS_NX; ++i) m[RS_AT_X + rs_order[i]] = x[i];
+#if RS_UNROLLED && RS_NX > 0
+      memcpy(m + RS_AT_X, x, sizeof x);
 #endif
       rs_hit(stop, p, m, g0);
       if (stop == end) break;
@@ -198,23 +224,19 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
       rs_forcing(middle, p, c, gm, work);
       rs_forcing(end, p, c, g1, work);
     }
-    rs_step(x, z, p, c, g0, gm, g1, h, row, k, work);
+    rs_step(x, z, p, c, g0, gm, g1, h, d, row, k, work);
     double *swap = g0;
     g0 = g1, g1 = swap;
 #endif
     if ((n & 7) == 7) {
-      double a = 0.0, b = 0.0;
-      int i = 0;
-      for (; i + 1 < RS_NX; i += 2) a += x[i], b += x[i + 1];
-      if (i < RS_NX) a += x[i];
-      if (!((a + b) * 0.0 == 0.0)) {
+      if (!rs_bounded(x)) {
         ++n;
         break;
       }
     }
   }
-#if RS_UNROLLED
-  for (int i = 0; i < RS_NX; ++i) m[RS_AT_X + rs_order[i]] = x[i];
+#if RS_UNROLLED && RS_NX > 0
+  memcpy(m + RS_AT_X, x, sizeof x);
 #endif
 #if RS_NA > 0
   turn[RS_TURN_AT] = (double)n, turn[RS_TURN_T0] = t0, turn[RS_TURN_H] = h;

@@ -22,7 +22,15 @@ from pathlib import Path
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.files import sweep, temporary_prefix, write_atomically
 
-FLAGS = ("-std=c99", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off")
+FLAGS = (
+    "-std=c99",
+    "-fPIC",
+    "-shared",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-ffp-contract=off",
+    "-fno-tree-slp-vectorize",
+)
 NATIVE = "-march=native"  # changes no digit, as products and sums are not contracted
 TIME_LIMIT = 600.0  # s; a compiler that takes longer is taken for hung
 MOST_KEPT = 4096  # files in the cache, some 100 MB: a diagnosis compiles a hundred to a thousand diagrams

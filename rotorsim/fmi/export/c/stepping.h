@@ -72,13 +72,14 @@ static int rf_changed(const rf_instance *i, int nominals) {
 /* ---- co-simulation ---- */
 
 static int rf_finite(rf_instance *i) {
-  for (int k = 0; k < RS_NX; ++k)
-    if (!(rf_x(i)[k] - rf_x(i)[k] == 0.0)) {
-      i->d[RF_PHASE] = RF_FAILED;
-      return rf_log(i, RF_ERROR, "%s is no longer finite at t = %.9g s: the motion diverges, or the step %g s is too large",
-                    rf_name[RF_AT_STATE + k], i->d[RF_TIME], RF_STEP);
-    }
-  return RF_OK;
+  const double *x = rf_x(i);
+  int worst = 0;
+  if (rs_bounded(x)) return RF_OK;
+  for (int k = 1; k < RS_NX && x[worst] == x[worst]; ++k)
+    if (!(fabs(x[k]) <= fabs(x[worst]))) worst = k;
+  i->d[RF_PHASE] = RF_FAILED;
+  return rf_log(i, RF_ERROR, "%s grows without bound, at t = %.9g s it is %.3g: the motion diverges, or the step %g s is too large",
+                rf_name[RF_AT_STATE + worst], i->d[RF_TIME], x[worst], RF_STEP);
 }
 
 /* Take steps n0..n1-1 of size h from t0; inputs with a slope follow it, at the middle of every step. Return the step
