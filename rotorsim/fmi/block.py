@@ -66,6 +66,10 @@ def _made(
     check_named(description, named)
     inputs = ports_of(description, ("input",), prefix, named=named)
     outputs = ports_of(description, ("output",), prefix, named=named)
+    if both := [name for name in inputs if name in outputs]:
+        raise RotorsimError(
+            Problem(f"'{both[0]}' is an input and an output", "ports", hint="a name of its own for each")
+        )
     if not signals <= outputs.keys():
         inside = ports_of(description, ("local", "calculatedParameter", "parameter", "independent"), prefix)
         outputs |= {name: port for name, port in inside.items() if name in signals - outputs.keys()}

@@ -93,26 +93,31 @@ typedef struct {
 typedef int (*completed2)(void *, int, int *, int *);
 typedef int (*completed3)(void *, _Bool, _Bool *, _Bool *);
 
-/* Tell an instance that the step to the present point is completed; return the status, and what it said. */
-static int complete(int64_t version, void *function, void *instance, int64_t unbound, int64_t *said) {
+/* Tell an instance that the step to the present point is completed. said: what it wants, or a status beyond a warning,
+   negative: it is not to be told twice to find out why. */
+static void complete(int64_t version, void *function, void *instance, int64_t unbound, int64_t *said) {
     int event2 = 0, end2 = 0, status;
     _Bool event3 = 0, end3 = 0;
     status = version == 2 ? ((completed2)function)(instance, (int)unbound, &event2, &end2)
                           : ((completed3)function)(instance, unbound != 0, &event3, &end3);
-    *said = (event2 || event3 ? RS_EVENT : 0) | (end2 || end3 ? RS_TERMINATE : 0);
-    return status;
+    *said = status & ~1 ? -(int64_t)(status > 1 && status < 6 ? status : 99) : (event2 || event3 ? RS_EVENT : 0) | (end2 || end3 ? RS_TERMINATE : 0);
 }
 
-/* Tell an instance of a completed step; return what it said, -1 where it is not there or fails. */
+/* Tell an instance of a completed step, once; return what it said, RS_UNTOLD where it is not there, RS_PENDING where its
+   process has not answered yet. */
 RS_EXPORT int64_t rs_fmu_completed(void *context) {
     const rs_teller *self = context;
     const rs_instance *i = ready(self->fmu, self->p);
-    int64_t said = 0;
-    if (!i) return -1;
+    int64_t said;
+    if (!i) return RS_UNTOLD;
 #if !defined _WIN32
-    if (i->remote) return idle(i->remote) && answered(i->remote, RS_OP_COMPLETED) ? i->remote->head[RS_SAID] : -1;
+    if (i->remote) {
+        if (!idle(i->remote)) return RS_UNTOLD;
+        return answered(i->remote, RS_OP_COMPLETED) ? i->remote->head[RS_SAID] : RS_PENDING;
+    }
 #endif
-    return complete(self->fmu->version, self->function, i->instance, self->unbound, &said) > 1 ? -1 : said;
+    complete(self->fmu->version, self->function, i->instance, self->unbound, &said);
+    return said;
 }
 
 static int any(const double *a, int64_t n) {
@@ -293,9 +298,11 @@ RS_EXPORT int64_t rs_serve_equations(rs_server *s) {
             const rs_asked *c = s->calls + k;
             if (!(op & c->op)) continue;
             s->head[RS_FUNCTION] = c->number;
+            if (c->op == RS_OP_COMPLETED) {
+                complete(s->version, c->function, s->instance, s->unbound, s->head + RS_SAID);
+                continue;
+            }
             int status = c->op == RS_OP_TIME ? ((time_)c->function)(s->instance, numbers[RS_T])
-                         : c->op == RS_OP_COMPLETED
-                             ? complete(s->version, c->function, s->instance, s->unbound, s->head + RS_SAID)
                          : !c->references    ? ((get_)c->function)(s->instance, c->values, c->n)
                          : s->version == 2   ? ((real2)c->function)(s->instance, c->references, c->n_references, c->values)
                                              : ((real3)c->function)(s->instance, c->references, c->n_references,

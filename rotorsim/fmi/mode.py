@@ -88,9 +88,12 @@ class FmuMode:
     def heard(self, t: float, said: int) -> bool:
         """Take what the FMU said when it was told of the last of some steps. Raises FmuError where it wants the end."""
         slave = self._changing()
-        if said > 0 and said & Said.TERMINATE:
+        if said == Said.PENDING:
+            said = slave.completed_pending(t)
+        wants = slave.completed_step(t, None, self.inputs()) if said == Said.UNTOLD else slave.completed_said(t, said)
+        if slave.ended:
             raise slave.end_asked(t)
-        return bool(said > 0 and said & Said.EVENT)
+        return wants
 
     def event(self, t: float, x: np.ndarray) -> np.ndarray:
         """Carry out an event and return the states after it. Raises FmuError, also where it ends the simulation."""

@@ -77,7 +77,9 @@ def named_ports(given: Any) -> Named:
     problems = []
     for name, members in given.items():
         texts = members if isinstance(members, list | tuple) else [members]
-        if not texts or not all(isinstance(text, str) for text in texts):
+        if not isinstance(name, str):
+            problems.append(Problem(f"{name} is no text", "ports", hint=form))
+        elif not texts or not all(isinstance(text, str) for text in texts):
             problems.append(Problem(f"'{name}' is no variable or list of variables", "ports", hint=form))
         elif not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII):
             hint = "letters, digits and _, not a digit first"
@@ -97,9 +99,26 @@ def check_named(description: ModelDescription, named: Named) -> None:
     sides = {side: [v.name for v in description.by_causality(side)] for side in ("input", "output")}
     side_of = {name: side for side, names in sides.items() for name in names}
     side_of |= {entry.name: side for side, names in sides.items() for n in names for entry in description.entries(n)}
-    side_of |= {match[1]: side for name, side in [*side_of.items()] if (match := _INDEX.fullmatch(name))}
-    problems = []
+    arrays: dict[str, str] = {}  # base -> the first entry
+    for name in side_of:
+        if match := _INDEX.fullmatch(name):
+            arrays.setdefault(match[1], name)
+    side_of |= {base: side_of[name] for base, name in arrays.items()}
+    every = {text for _, members in named for text in ((members,) if isinstance(members, str) else members)}
+    problems = [
+        Problem(f"'{text}' is an array, and one of its entries is named, too", "ports", hint="the array or its entries")
+        for text in arrays.keys() & every
+        if any(other != text and other.startswith(f"{text}[") for other in every)
+    ]
     for name, members in named:
+        if not isinstance(members, str):
+            problems += [
+                Problem(
+                    f"'{text}' is an array", "ports", hint=f'"{name}": "{text}", or its entries, {arrays[text]}, ...'
+                )
+                for text in members
+                if text in arrays
+            ]
         texts = (members,) if isinstance(members, str) else members
         for text in (text for text in texts if text not in side_of):
             what = f"the FMU has no input or output '{text}'"

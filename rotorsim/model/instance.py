@@ -52,7 +52,8 @@ class Instance(Protocol):
 
 def sound(x: np.ndarray) -> bool:
     """Return whether states (n_x,) are numbers within all bounds."""
-    return bool(np.abs(x).sum() <= LARGEST_NUMBER)
+    with np.errstate(over="ignore"):
+        return bool(np.abs(x).sum() <= LARGEST_NUMBER)
 
 
 def make_instance(model: Model, record: Sequence[str], p: np.ndarray, *, use_compiler: bool = True) -> Instance:

@@ -56,12 +56,14 @@ class Mode(Protocol):
     def teller(self) -> tuple[int, int] | None:
         """Return the addresses of a function of C and of its context, None where there is none.
 
-        It does what `completed` does, at the present point, and returns what the part wants, for `heard`: 0 nothing,
-        less than 0 if it failed.
+        It does what `completed` does, at the present point, and returns what the part wants, for `heard`: 0 nothing.
         """
 
     def heard(self, t: float, said: int) -> bool:
-        """Take what the function of `teller` said at t, the last time; return whether the part wants an event."""
+        """Take what the function of `teller` said at t, the last time; return whether the part wants an event.
+
+        It is not told again, but where it was not told at all. Raises what `completed` raises.
+        """
 
     def event(self, t: float, x: np.ndarray) -> np.ndarray:
         """Carry out an event at t, with its states x and the inputs of the present point; return its states then."""

@@ -172,8 +172,6 @@ class SwitchingInstance(EventSteps):
     def _heard(self, t: float, reporting: Sequence[Mode], told: Sequence[Told]) -> bool:
         """Take what parts said that were told of a step to t; return whether one wants an event."""
         self._point = t
-        if any(one.said < 0 for one in told):
-            return self._completed(t)  # again, which says what failed
         wants = [mode.heard(t, one.said) for mode, one in zip(reporting, told, strict=True)]
         return any(wants)
 

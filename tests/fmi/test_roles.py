@@ -125,6 +125,16 @@ def test_what_is_wrong_with_names_of_ports_is_said_where_they_are(fmu: Make, tmp
         f"it.json:7:14: error: r.ports: 'y' is no variable or list of variables\n\nhint: {form}\n"
         "it.json:7:14: error: r.ports: the variable 'rotor.velocity[1]' is named twice\n\nhint: each once"
     )
+    entries = {"F": ["rotor.force"], "G": "rotor.velocity", "H": "rotor.velocity[1]"}
+    assert said(entries) == (
+        "it.json:7:14: error: r.ports: 'rotor.velocity' is an array, and one of its entries is named, too\n\n"
+        "hint: the array or its entries\n"
+        "it.json:7:14: error: r.ports: 'rotor.force' is an array\n\n"
+        'hint: "F": "rotor.force", or its entries, rotor.force[1], ...'
+    )
+    assert said({"displacement": "rotor.force"}) == (
+        "it.json:7:14: error: r.ports: 'displacement' is an input and an output\n\nhint: a name of its own for each"
+    )
     assert said({"x": ["rotor.displacement[1]", "rotor.force[1]"], "y": "rotor.velocit"}) == (
         "it.json:7:14: error: r.ports: 'x' has inputs and outputs\n\nhint: a port is one or the other\n"
         "it.json:7:14: error: r.ports: the FMU has no input or output 'rotor.velocit'\n\n"

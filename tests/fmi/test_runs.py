@@ -235,6 +235,30 @@ def test_completed_steps_are_told_from_c_as_from_python(
     assert counts[1] <= 4 * fast.counters["part_events"]  # of a run, and of its stretches that are repeated
 
 
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_a_step_is_told_once_however_late_the_answer_is(
+    tmp_path: Path, version: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """C looks once for the answer of the process, and leaves waiting for it to Python."""
+    monkeypatch.setattr("rotorsim.fmi.runtime.channel.LOOKS", 1)
+    file = events_fmu(tmp_path, version)
+    runs = [
+        simulate(alone(file, "late", step=H, stop=2.0, in_process=one, x0=0.0, high=0.7031)) for one in (True, False)
+    ]
+    assert [run["it.count"][-1] for run in runs] == [2.0, 2.0]
+    np.testing.assert_array_equal(runs[1]["it.x"], runs[0]["it.x"])
+
+
+@pytest.mark.parametrize("in_process", [True, False])
+def test_a_completed_step_at_which_an_fmu_fails_ends_the_run(tmp_path: Path, in_process: bool) -> None:
+    file = events_fmu(tmp_path)
+    found = simulate(alone(file, "late", step=H, stop=2.0, in_process=in_process, low=-1.0, x0=0.0, restitution=-1.0))
+    assert (found.status, found.message.partition(";")[0]) == (
+        "stopped",
+        "it: fmi2CompletedIntegratorStep returned fmi2Error (t = 1 s)",
+    )
+
+
 def test_a_coarse_step_is_found_out_across_events(file: Path) -> None:
     """The error of the step is that of the stretches repeated, with their events."""
     coarse, fine = (simulate(alone(file, "relay", step=h, stop=3.0)) for h in (0.5, 1e-3))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorsim.fmi.runtime.binding import CallError
+from rotorsim.fmi.runtime.binding import STATUS, CallError
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.instance import Instance, is_finite
 from rotorsim.fmi.runtime.memory import Block, Head, Op, Said
@@ -210,8 +210,24 @@ class Slave(Instance):
     def completed_step(self, t: float, x: np.ndarray | None, u: np.ndarray | None = None) -> bool:
         """Tell the FMU that a step of the solver is accepted; return whether it wants an event update."""
         self._evaluate(Op.COMPLETED, t, x, u)
-        self._note_end()
-        return bool(self._said & Said.EVENT)
+        return self.completed_said(t, self._said)
+
+    def completed_pending(self, t: float) -> int:
+        """Wait for what the FMU says to a completed step of which C has told it. Raises FmuError."""
+        try:
+            self.worker.finish()
+        except CallError as failure:
+            raise self._failed(failure, t) from None
+        return self._said
+
+    def completed_said(self, t: float, said: int) -> bool:
+        """Take what the FMU said to a completed step; return whether it wants an event update. Raises FmuError."""
+        if said < 0:
+            kind = {2: "discard", 4: "fatal"}.get(-said, "error")
+            word = f"fmi{self.description.version[0]}{STATUS[-said]}" if -said < len(STATUS) else f"status {-said}"
+            raise self._failed(CallError(kind, "CompletedIntegratorStep", f"returned {word}"), t)
+        self.ended = self.ended or bool(said & Said.TERMINATE)
+        return bool(said & Said.EVENT)
 
     def event_update(self, t: float, x: np.ndarray | None = None, u: np.ndarray | None = None) -> EventUpdate:
         """Carry out an event at t; afterwards `states` has the new states. Discrete inputs are set here only."""

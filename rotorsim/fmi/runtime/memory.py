@@ -32,6 +32,7 @@ class Said:
     """What the FMU said; bits."""
 
     EVENT, TERMINATE, STATES, NOMINALS = (1 << k for k in range(4))
+    UNTOLD, PENDING = -100, -101  # of a completed step, in C; other negative numbers are statuses
 
 
 @dataclass(frozen=True)

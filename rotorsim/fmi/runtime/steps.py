@@ -33,7 +33,7 @@ _DEFINED = {
     "H": Block.H,
     "LAST": Block.LAST,
     **{f"OP_{name}": getattr(Op, name) for name in ("TIME", "X", "U", "STEP", "XDOT", "Y", "Z", "COMPLETED")},
-    "EVENT": Said.EVENT,
+    **{name: getattr(Said, name) for name in ("EVENT", "UNTOLD", "PENDING")},
     "TERMINATE": Said.TERMINATE,
     "DO_STEP": NUMBER["DoStep"],
     "PART": PART,

@@ -173,7 +173,8 @@ def _turning(
         "rs_forcing_turned", known, f"{at_time}, const double *restrict a", "t, p, c, a", "g", kernel.forcing
     )
     vectors = resources.files("rotorsim.model.emit").joinpath("turning.c").read_text(encoding="utf-8")
-    return "\n".join([vectors, emit_angles(kernel.program, kernel.angles), text]), size
+    before, angles = emit_angles(kernel.program, kernel.angles)
+    return "\n".join([before, vectors, angles, text]), size
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-/* The C runtime of rotorsim: time loop, sample hits, random draws, finite check.
+/* The C runtime of rotorsim: time loop, sample hits, random draws, bounds of states.
  *
  * It is appended to the generated functions of one diagram and is the same in process and in an FMU.
  * Generated before it: RS_NX states, RS_NZ discrete states, RS_NC values that depend on parameters only,
@@ -6,7 +6,8 @@
  * values, RS_NS samplers,
  * RS_NW random draws, RS_STAGES of a step, RS_WORK work space, RS_UNROLLED (1: rs_step is one straight function, for
  * which rs_step_constants computes RS_ND values that follow from the length of the step), and the functions
- * rs_constants, rs_forcing, rs_forcing_turned (with angles), rs_rhs, rs_outputs, rs_update, rs_step. With RS_STATIC defined no function is exported.
+ * rs_constants, rs_forcing, rs_forcing_turned (with angles), rs_rhs, rs_outputs, rs_update, rs_step. With RS_STATIC
+ * defined no function is exported.
  *
  * One instance is one block of doubles m, laid out as below; nothing else holds state.
  */
@@ -44,7 +45,7 @@ RS_EXPORT void rs_prepare(const double *p, double *m) {
 #endif
 }
 
-/* Return the forcing at an instant: where a run is just there, that of the run, which is in front; it stays as it is. */
+/* Return the forcing at an instant: where a run is just there, that of the run, in front, which stays as it is. */
 static const double *rs_forcing_of(double t, const double *p, double *m) {
 #if RS_NA > 0
   const double *turn = m + RS_AT_TURN;
@@ -170,6 +171,7 @@ static int rs_bounded(const double *x) {
  * Returns the number of the step reached: less than n1 when a state is beyond all bounds. */
 RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, double t0, double h, int64_t every,
                          double *rows) {
+  if (n0 >= n1) return n0;
 #if RS_UNROLLED && RS_NX > 0
   double x[RS_NX];
   memcpy(x, m + RS_AT_X, sizeof x);
@@ -185,7 +187,10 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
 #if RS_NA > 0
   double turn[RS_TURN_VECTORS + 6 * RS_NA];
   memcpy(turn, m + RS_AT_TURN, sizeof turn);
-  if (turn[RS_TURN_AT] != (double)n0 || turn[RS_TURN_T0] != t0 || turn[RS_TURN_H] != h) turn[RS_TURN_END] = (double)n0;
+  if (turn[RS_TURN_AT] != (double)n0 || turn[RS_TURN_T0] != t0 || turn[RS_TURN_H] != h) {
+    const int other = turn[RS_TURN_H] == turn[RS_TURN_H] && n1 - n0 < RS_FEW; /* steps from one instant to the next */
+    turn[RS_TURN_KIND] = RS_NOT_EVEN, turn[RS_TURN_END] = (double)(other ? n1 : n0);
+  }
 #endif
   for (; n < n1; ++n) {
     double *row = m + RS_AT_ROW;
@@ -252,7 +257,7 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
 }
 
 #if !defined(RS_STATIC)
-/* What wants to know of every step that it is done: says what it wants (not 0: no more steps), less than 0 if it fails. */
+/* What is told of every step: says what it wants (not 0: no more steps), less than 0 if it fails. */
 typedef struct {
   int64_t (*function)(void *);
   void *context;
@@ -260,8 +265,9 @@ typedef struct {
 } rs_told;
 
 /* As rs_run, step by step: at the end of each the right-hand side is asked for, so that all parts are there, and then
- * those that want to know are told. Returns the step reached: less than n1 where one wants something, or fails, or where a
- * step ends with what is no number; then nothing is told, and m is as before that step. held: room for m; slope: (NX). */
+ * those that want to know are told. Returns the step reached: less than n1 where one wants something, or fails, or
+ * where a step ends with what is no number; then nothing is told, and m is as before that step. held: room for m;
+ * slope: (NX). */
 RS_EXPORT int64_t rs_run_told(const double *p, double *m, int64_t n0, int64_t n1, double t0, double h, int64_t every,
                               double *rows, double *held, double *slope, int64_t n_told, rs_told *told) {
   for (int64_t n = n0; n < n1; ++n) {

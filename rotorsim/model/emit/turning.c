@@ -1,10 +1,11 @@
 /* Rotating vectors instead of cosines and sines of angles that turn evenly; RS_NA angles, see turning.py.
  *
- * In m at RS_AT_TURN: the step at which the vectors are, the start and the length of steps that they hold for, the step at
- * which they are set anew, and how: by rotation by the same or by a growing step, or not at all; then for every angle its
- * cosine and sine, and those of its step in half a step of the run, and of what that grows by. */
+ * In m at RS_AT_TURN: the step at which the vectors are, the start and the length of the steps that they hold for, the
+ * step at which they are set anew, and how: by rotation by the same or by a growing step, or not at all; then for every
+ * angle its cosine and sine, and those of its step in half a step of the run, and of what that grows by. */
 #define RS_BLOCK 128 /* steps: a vector that is rotated 256 times is off by 3e-14, or 1e-13 where its step grows */
-#define RS_EVEN 1e-17 /* rad: of an angle beside a parabola; a hundredth of what the vectors are exact to */
+#define RS_FEW 8 /* steps: for fewer, of another start or length than before, vectors are not worth being set */
+#define RS_STILL 1e-17 /* rad in a block: what a step grows by that is the same; a hundredth of what vectors are exact to */
 enum { RS_TURN_AT, RS_TURN_T0, RS_TURN_H, RS_TURN_END, RS_TURN_KIND, RS_TURN_VECTORS };
 enum { RS_NOT_EVEN, RS_SAME_STEP, RS_GROWING_STEP };
 
@@ -43,11 +44,19 @@ static rs_dd rs_div(rs_dd a, rs_dd b) {
   const rs_dd s = rs_sub(r, rs_mul(rs_long(more), b));
   return rs_add(rs_sum(q, more), rs_long(s.hi / b.hi));
 }
-static rs_dd rs_less(rs_dd a, rs_dd b) { return a.hi < b.hi || (a.hi == b.hi && a.lo < b.lo) ? rs_one : rs_zero; }
-static rs_dd rs_less_equal(rs_dd a, rs_dd b) { return rs_less(b, a).hi != 0.0 ? rs_zero : rs_one; }
-static rs_dd rs_min(rs_dd a, rs_dd b) { return rs_less(b, a).hi != 0.0 ? b : a; }
-static rs_dd rs_max(rs_dd a, rs_dd b) { return rs_less(a, b).hi != 0.0 ? b : a; }
-static void rs_angles(rs_dd t, const double *p, rs_dd *angle);
+/* Cases; held: which one holds. */
+static rs_dd rs_less(rs_dd a, rs_dd b, char *held) {
+  *held = a.hi < b.hi || (a.hi == b.hi && a.lo < b.lo);
+  return *held ? rs_one : rs_zero;
+}
+static rs_dd rs_less_equal(rs_dd a, rs_dd b, char *held) {
+  *held = a.hi < b.hi || (a.hi == b.hi && a.lo <= b.lo);
+  return *held ? rs_one : rs_zero;
+}
+static rs_dd rs_min(rs_dd a, rs_dd b, char *held) { return rs_less_equal(a, b, held).hi != 0.0 ? a : b; }
+static rs_dd rs_max(rs_dd a, rs_dd b, char *held) { return rs_less_equal(a, b, held).hi != 0.0 ? b : a; }
+
+static void rs_angles(rs_dd t, const double *p, rs_dd *angle, char *held);
 
 /* Cosine and sine of an angle. */
 static void rs_vector(rs_dd a, double *v) {
@@ -69,31 +78,29 @@ static void rs_turn_on(double *turn) {
     for (int k = 0; k < RS_NA; ++k) rs_rotate(turn + RS_TURN_VECTORS + 6 * k + 2, turn + RS_TURN_VECTORS + 6 * k + 4);
 }
 
-/* Set the vectors at step n, until the next whole block: a parabola through three points of it, if others lie on that. */
+/* Set the vectors at step n, until the next whole block: a parabola through both ends and the middle of it, where all
+ * cases that hold at one end hold at the other. */
 static void rs_turn_set(double *turn, const double *p, double t0, double h, int64_t n) {
-  const int64_t end = (n / RS_BLOCK + 1) * RS_BLOCK, halves = 2 * (end - n);
-  const int64_t at[] = {0, (end - n), halves, halves / 3, (5 * halves) / 7}; /* the last two are no even parts */
-  rs_dd angle[5][RS_NA];
-  turn[RS_TURN_END] = (double)end, turn[RS_TURN_KIND] = RS_SAME_STEP;
-  for (int i = 0; i < 5; ++i) {
-    const rs_dd steps = rs_sum((double)n, 0.5 * (double)at[i]);
-    rs_angles(rs_add(rs_long(t0), rs_mul(steps, rs_long(h))), p, angle[i]);
+  const int64_t end = (n / RS_BLOCK + 1) * RS_BLOCK;
+  const double m = (double)(end - n); /* half of the half steps */
+  rs_dd angle[3][RS_NA];
+  char held[3][RS_CASES + 1] = {{0}};
+  turn[RS_TURN_END] = (double)end, turn[RS_TURN_KIND] = RS_NOT_EVEN;
+  for (int i = 0; i < 3; ++i) {
+    const rs_dd steps = rs_sum((double)n, 0.5 * i * m);
+    rs_angles(rs_add(rs_long(t0), rs_mul(steps, rs_long(h))), p, angle[i], held[i]);
+    if (memcmp(held[i], held[0], RS_CASES)) return;
   }
+  int kind = RS_SAME_STEP;
   for (int k = 0; k < RS_NA; ++k) {
-    const double m = (double)at[1];
     const rs_dd first = rs_sub(angle[1][k], angle[0][k]), second = rs_sub(rs_sub(angle[2][k], angle[1][k]), first);
     const rs_dd grow = rs_div(second, rs_long(m * m)); /* second difference of half steps */
     const rs_dd step = rs_sub(rs_div(first, rs_long(m)), rs_mul(grow, rs_long(0.5 * (m - 1.0))));
-    for (int i = 3; i < 5; ++i) {
-      const double j = (double)at[i];
-      const rs_dd on = rs_add(rs_mul(step, rs_long(j)), rs_mul(grow, rs_long(0.5 * j * (j - 1.0))));
-      if (!(fabs(rs_sub(angle[i][k], rs_add(angle[0][k], on)).hi) <= RS_EVEN)) {
-        turn[RS_TURN_KIND] = RS_NOT_EVEN;
-        return;
-      }
-    }
     double *v = turn + RS_TURN_VECTORS + 6 * k;
     rs_vector(angle[0][k], v), rs_vector(step, v + 2), rs_vector(grow, v + 4);
-    if (fabs(second.hi) > RS_EVEN) turn[RS_TURN_KIND] = RS_GROWING_STEP;
+    for (int i = 0; i < 6; ++i)
+      if (v[i] != v[i]) return; /* an angle that is no number, as the library then finds, too */
+    if (fabs(second.hi) > RS_STILL) kind = RS_GROWING_STEP;
   }
+  turn[RS_TURN_KIND] = kind;
 }

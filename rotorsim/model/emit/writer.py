@@ -156,7 +156,7 @@ class Writer:
             return self.given[number]
         op = self.program.nodes[number][0]
         if op == ir.CONSTANT:
-            return _literal(self.program.value(number))
+            return literal(self.program.value(number))
         return self.leaf(self.program.nodes[number]) if op == ir.INPUT else f"v{number}"
 
     def _statement(self, number: int, operand: Callable[[int], str]) -> str:
@@ -200,7 +200,8 @@ def call_table(called: Mapping[str, Any]) -> tuple[str, str]:
     return table, "RS_EXPORT void rs_connect(const void *from) { memcpy(rs_called, from, sizeof rs_called); }\n"
 
 
-def _literal(value: float) -> str:
+def literal(value: float) -> str:
+    """Return the C text of a number."""
     if math.isnan(value):
         return "NAN"
     if math.isinf(value):

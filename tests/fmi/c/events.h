@@ -8,8 +8,8 @@
 enum { BALL, RELAY, CLOCK, CHATTER, SIGNAL, LATE, STAGES, TWO };
 
 typedef struct {
-    double t, x, v, u, level, when, next, gravity, restitution, low, high, time_constant, tick, stop_at;
-    int model, on, count, phase, begun;
+    double t, x, v, u, level, when, next, gravity, restitution, low, high, time_constant, tick, stop_at, before;
+    int model, on, count, phase, begun, failed;
 } System;
 
 static void begin(System *s) {
@@ -40,6 +40,13 @@ static double indicator(const System *s) {
         case TWO: return s->x - s->low;
     }
     return 1.0;
+}
+
+/* At a completed step: whether x has passed a height since the last one; who is told twice finds nothing. */
+static int passed(System *s) {
+    const int event = s->model == LATE && s->before < s->high && s->x >= s->high;
+    s->before = s->x;
+    return event;
 }
 
 /* One iteration of an event; return whether another is needed. */

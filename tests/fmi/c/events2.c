@@ -43,8 +43,9 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
 }
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return fmi2OK; }
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no, fmi2Boolean *event, fmi2Boolean *end) {
-    *event = S->model == LATE && S->x >= S->high;
+    *event = passed(S);
     *end = S->model == LATE && S->t >= S->stop_at;
+    if (S->restitution < 0.0 && S->t > 0.995 && !S->failed++) return fmi2Error; /* once */
     return fmi2OK;
 }
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real t) { S->t = t; return fmi2OK; }

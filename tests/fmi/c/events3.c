@@ -40,7 +40,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *more, fmi3Boole
 }
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { return fmi3OK; }
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean no, fmi3Boolean *event, fmi3Boolean *end) {
-    *event = S->model == LATE && S->x >= S->high;
+    *event = passed(S);
     *end = S->model == LATE && S->t >= S->stop_at;
     return fmi3OK;
 }

@@ -78,7 +78,8 @@ static int rf_finite(rf_instance *i) {
   for (int k = 1; k < RS_NX && x[worst] == x[worst]; ++k)
     if (!(fabs(x[k]) <= fabs(x[worst]))) worst = k;
   i->d[RF_PHASE] = RF_FAILED;
-  return rf_log(i, RF_ERROR, "%s grows without bound, at t = %.9g s it is %.3g: the motion diverges, or the step %g s is too large",
+  return rf_log(i, RF_ERROR,
+                "%s grows without bound, at t = %.9g s it is %.3g: the motion diverges, or the step %g s is too large",
                 rf_name[RF_AT_STATE + worst], i->d[RF_TIME], x[worst], RF_STEP);
 }
 
