@@ -165,7 +165,10 @@ class InterpretedInstance:
         self._c = np.array(constants(self.p[self._used])).ravel()
         arguments = [symbols[name] for name in ("t", "p", "c")]
         self._forcing = ca.Function("forcing", arguments, [program.to_casadi(kernel.forcing, leaves, known)])
-        arguments = [symbols[name] for name in ("x", "z", "p", "c", "g0", "gm", "g1", "h")]
+        needed = step.program.needed([*step.new, *step.y], dict.fromkeys(step.constants))
+        vectors = {step.program.nodes[k][1] for k in needed if k not in step.constants}
+        self._given = [name for name in ("p", "c", "h") if name in vectors]  # the others would only be copied, too
+        arguments = [symbols[name] for name in ("x", "z", "g0", "gm", "g1", *self._given)]
         d = ca.SX.sym("d", len(step.constants))
         follows = {node: d[k] for k, node in enumerate(step.constants)}
         results = [step.program.to_casadi(nodes, leaves, follows) for nodes in (step.new, step.y)]
@@ -218,8 +221,10 @@ class InterpretedInstance:
         g = self._forcing_at(t0 + (n + 0.5 * np.arange(2 * count + 1)) * h)
         z = ca.repmat(ca.DM(self.z), 1, count)
         parts = [ca.DM(np.ascontiguousarray(g[:, k : k + 2 * count : 2])) for k in range(3)]
-        of_step = [ca.repmat(ca.DM(a), 1, count) for a in (h, self._of_step(h, self.p[self._used], self._c))]
-        arguments = (self.x, z, *self._constants(count), *parts, *of_step)
+        of_step = ca.repmat(self._of_step(h, self.p[self._used], self._c), 1, count)
+        p, c = self._constants(count)
+        given = {"p": p, "c": c, "h": ca.repmat(ca.DM(h), 1, count)}
+        arguments = (self.x, z, *parts, *(given[name] for name in self._given), of_step)
         states, y = self._many[count](*arguments)
         self.x = np.array(states)[:, -1]
         return np.array(y).T
@@ -242,10 +247,10 @@ class InterpretedInstance:
             if stop > end - HIT_TOLERANCE * h:
                 stop = end
             g = self._forcing_at(np.array([t, t + 0.5 * (stop - t), stop]))
-            given, h_now = (self.p[self._used], self._c), stop - t
-            new, y = self._step(
-                self.x, self.z, *given, *(g[:, k] for k in range(3)), h_now, self._of_step(h_now, *given)
-            )
+            given = {"p": self.p[self._used], "c": self._c, "h": stop - t}
+            of_step = self._of_step(given["h"], given["p"], given["c"])
+            parts = [*(g[:, k] for k in range(3)), *(given[name] for name in self._given)]
+            new, y = self._step(self.x, self.z, *parts, of_step)
             self.x = np.array(new).ravel()
             row = np.array(y).reshape(1, -1) if row is None else row
             self.sample(stop)
