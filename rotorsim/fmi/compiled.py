@@ -64,7 +64,7 @@ class _Function(ctypes.Structure):
     ]
 
 
-class _Teller(ctypes.Structure):
+class _Completed(ctypes.Structure):
     _fields_ = [("fmu", _POINTER), ("p", _POINTER), ("function", _POINTER), ("unbound", _INT)]
 
 
@@ -100,7 +100,7 @@ class InC:
         self._chosen: list[tuple[np.ndarray, Slave] | None] = [None] * READY
         self._oldest = 0
         self._sides: dict[int, np.ndarray] = {}
-        self._tellers: dict[int, tuple[_Teller, np.ndarray]] = {}
+        self._callbacks: dict[int, tuple[_Completed, np.ndarray]] = {}
         self._most = PAIRS_EACH * (p_size + 1)
         self._pairs = (_Pair * self._most)()
         self._pair_of: list[tuple[np.ndarray, np.ndarray, Slave, Slave] | None] = [None] * self._most
@@ -213,7 +213,7 @@ class InC:
         pair.high, pair.low = (self._instance(*end) for end in ends)
         pair.step = step
 
-    def teller(self, slave: Slave, p: np.ndarray) -> tuple[int, int] | None:
+    def completed_callback(self, slave: Slave, p: np.ndarray) -> tuple[int, int] | None:
         """Return the addresses of a function that tells an instance of a step, and of its context; None: of none."""
         worker, library, version = slave.worker, _library(), int(self.description.version[0])
         if library is None or version == 1:
@@ -223,8 +223,8 @@ class InC:
             function = ctypes.cast(worker.session.calls.function("CompletedIntegratorStep"), _POINTER).value
             unbound = worker.session.steps.unbound
         own = np.array(p, float)
-        made = _Teller(ctypes.addressof(self.made), own.ctypes.data, function, unbound)
-        self._tellers[id(slave)] = made, own
+        made = _Completed(ctypes.addressof(self.made), own.ctypes.data, function, unbound)
+        self._callbacks[id(slave)] = made, own
         return ctypes.cast(library.rs_fmu_completed, _POINTER).value or 0, ctypes.addressof(made)
 
     def forget(self, slave: Slave) -> None:
@@ -236,7 +236,7 @@ class InC:
             if known is not None and slave in known[2:]:
                 self._pair_of[k], self._pairs[k].step = None, 0.0
         self._sides.pop(id(slave), None)
-        self._tellers.pop(id(slave), None)
+        self._callbacks.pop(id(slave), None)
 
     def _instance(self, slave: Slave, sides: np.ndarray, due: float) -> _Instance:
         worker = slave.worker

@@ -88,7 +88,7 @@ typedef struct {
     const double *p;
     void *function;
     int64_t unbound;
-} rs_teller;
+} rs_completed;
 
 typedef int (*completed2)(void *, int, int *, int *);
 typedef int (*completed3)(void *, _Bool, _Bool *, _Bool *);
@@ -106,7 +106,7 @@ static void complete(int64_t version, void *function, void *instance, int64_t un
 /* Tell an instance of a completed step, once; return what it said, RS_UNTOLD where it is not there, RS_PENDING where its
    process has not answered yet. */
 RS_EXPORT int64_t rs_fmu_completed(void *context) {
-    const rs_teller *self = context;
+    const rs_completed *self = context;
     const rs_instance *i = ready(self->fmu, self->p);
     int64_t said;
     if (!i) return RS_UNTOLD;

@@ -231,13 +231,13 @@ class FmuEquations:
             self._bind(slave)
             self.native.choose(slave, p, *self._modes[id(slave)])
 
-    def teller(self, p: np.ndarray) -> tuple[int, int] | None:
+    def completed_callback(self, p: np.ndarray) -> tuple[int, int] | None:
         """Return the addresses of a function of C, and of its context, that tells the instance of a completed step."""
         slave = self._slaves.get(p.tobytes())
         if self.native is None or slave is None:
             return None
         self.prefer(p)
-        return self.native.teller(slave, p)
+        return self.native.completed_callback(slave, p)
 
     def know(self, p: np.ndarray, seed: np.ndarray, step: float) -> None:
         """Let C take differences between the instances at p + step seed and p - step seed."""

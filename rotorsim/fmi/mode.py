@@ -81,11 +81,11 @@ class FmuMode:
             raise slave.end_asked(t)
         return wants
 
-    def teller(self) -> tuple[int, int] | None:
+    def completed_callback(self) -> tuple[int, int] | None:
         """Return the function of equations.c that tells the FMU, and its context."""
-        return self._equations.teller(self._p)
+        return self._equations.completed_callback(self._p)
 
-    def heard(self, t: float, said: int) -> bool:
+    def completed_result(self, t: float, said: int) -> bool:
         """Take what the FMU said when it was told of the last of some steps. Raises FmuError where it wants the end."""
         slave = self._changing()
         if said == Said.PENDING:

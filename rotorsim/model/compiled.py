@@ -38,7 +38,7 @@ class Library:
             ("rs_record", [f64, ptr, ptr, ptr, ptr, ptr], None),
             ("rs_derivatives", [i64, ptr, ptr, ptr, ptr, i64, ptr, ptr], None),
             ("rs_run", [ptr, ptr, i64, i64, f64, f64, i64, ptr], i64),
-            ("rs_run_told", [ptr, ptr, i64, i64, f64, f64, i64, ptr, ptr, ptr, i64, ptr], i64),
+            ("rs_run_stepwise", [ptr, ptr, i64, i64, f64, f64, i64, ptr, ptr, ptr, i64, ptr], i64),
             *([("rs_next", [ptr, ptr], f64)] if kernel.trace.samplers else []),
         ):
             function = getattr(self.handle, name, None)

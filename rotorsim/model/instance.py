@@ -26,8 +26,8 @@ HIT_TOLERANCE = 1e-9  # of the period, as in runtime.c
 LARGEST_NUMBER = 1e290  # of all states together, as in runtime.c: what is recorded is still a number in micrometres
 
 
-class Told(ctypes.Structure):
-    """A function of C that is told of every step, and its context; what it has said (``rs_told`` of runtime.c)."""
+class StepCallback(ctypes.Structure):
+    """A function of C that is told of every step, and its context; what it has said (``rs_callback`` of runtime.c)."""
 
     _fields_ = [("function", ctypes.c_void_p), ("context", ctypes.c_void_p), ("said", ctypes.c_int64)]
 
@@ -91,16 +91,16 @@ class CompiledInstance:
     def run(self, n0: int, n1: int, t0: float, h: float, every: int, rows: np.ndarray) -> int:
         return int(self.functions.rs_run(self._p, self._m, n0, n1, t0, h, every, rows.ctypes.data))
 
-    def run_told(
-        self, n0: int, n1: int, t0: float, h: float, every: int, rows: np.ndarray, told: Sequence[Told]
+    def run_stepwise(
+        self, n0: int, n1: int, t0: float, h: float, every: int, rows: np.ndarray, callbacks: Sequence[StepCallback]
     ) -> int:
-        """Take steps as `run`, and tell functions of C of each; see ``rs_run_told`` in runtime.c."""
+        """Take steps as `run`, and tell functions of C of each; see ``rs_run_stepwise`` in runtime.c."""
         if self._held is None:
             self._held = np.empty_like(self.memory)
-        table, held = (Told * len(told))(*told), self._held
-        room = held.ctypes.data, self._slope.ctypes.data, len(told), ctypes.addressof(table)
-        n = int(self.functions.rs_run_told(self._p, self._m, n0, n1, t0, h, every, rows.ctypes.data, *room))
-        for one, after in zip(told, table, strict=True):
+        table, held = (StepCallback * len(callbacks))(*callbacks), self._held
+        room = held.ctypes.data, self._slope.ctypes.data, len(callbacks), ctypes.addressof(table)
+        n = int(self.functions.rs_run_stepwise(self._p, self._m, n0, n1, t0, h, every, rows.ctypes.data, *room))
+        for one, after in zip(callbacks, table, strict=True):
             one.said = after.said
         return n
 

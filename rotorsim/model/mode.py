@@ -53,14 +53,14 @@ class Mode(Protocol):
     def completed(self, t: float, x: np.ndarray) -> bool:
         """Tell the part that a step to t with its states x is accepted; return whether it wants an event."""
 
-    def teller(self) -> tuple[int, int] | None:
+    def completed_callback(self) -> tuple[int, int] | None:
         """Return the addresses of a function of C and of its context, None where there is none.
 
-        It does what `completed` does, at the present point, and returns what the part wants, for `heard`: 0 nothing.
+        It does what `completed` does, at the present point, and returns what the part wants, 0 for nothing.
         """
 
-    def heard(self, t: float, said: int) -> bool:
-        """Take what the function of `teller` said at t, the last time; return whether the part wants an event.
+    def completed_result(self, t: float, said: int) -> bool:
+        """Take what that of `completed_callback` returned at t, the last time; return whether the part wants an event.
 
         It is not told again, but where it was not told at all. Raises what `completed` raises.
         """

@@ -16,7 +16,7 @@ import numpy as np
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.called import event_that_waits, forget_failures, has_failed, raise_failure
 from rotorsim.model.compiled import Model
-from rotorsim.model.instance import CompiledInstance, Instance, Told, sound
+from rotorsim.model.instance import CompiledInstance, Instance, StepCallback, sound
 from rotorsim.model.mode import Mode, ModeOf, modes_of
 from rotorsim.simulation.event_steps import ACCUMULATE, EventSteps, rounding
 
@@ -119,7 +119,7 @@ class SwitchingInstance(EventSteps):
         first, n = -(-n0 // every), n0
         while n < n1:
             if self.stepwise:
-                n = self._told_steps(n, n1, t0, h, every, rows, first)
+                n = self._run_stepwise(n, n1, t0, h, every, rows, first)
                 if has_failed() or not sound(self.inner.x):
                     return n
                 continue
@@ -146,20 +146,20 @@ class SwitchingInstance(EventSteps):
             self._ahead = AT_ONCE[0]
         return n
 
-    def _told_steps(self, n: int, n1: int, t0: float, h: float, every: int, rows: np.ndarray, first: int) -> int:
+    def _run_stepwise(self, n: int, n1: int, t0: float, h: float, every: int, rows: np.ndarray, first: int) -> int:
         """Take steps of which parts are told, until one wants an event; return the step reached.
 
         They are told from C; a step in which an event is due is taken from Python, which finds where.
         """
         inner, reporting = self.inner, [one.mode for one in self.parts if one.mode.reports]
-        tellers = [teller for mode in reporting if (teller := mode.teller()) is not None]
-        if isinstance(inner, CompiledInstance) and len(tellers) == len(reporting):
-            begun, until, told = n, min(n + self._ahead, n1), [Told(*teller, 0) for teller in tellers]
+        callbacks = [StepCallback(*found, 0) for mode in reporting if (found := mode.completed_callback()) is not None]
+        if isinstance(inner, CompiledInstance) and len(callbacks) == len(reporting):
+            begun, until = n, min(n + self._ahead, n1)
             self._guard(True)
-            n = inner.run_told(begun, until, t0, h, every, rows[-(-begun // every) - first :], told)
+            n = inner.run_stepwise(begun, until, t0, h, every, rows[-(-begun // every) - first :], callbacks)
             self._guard(False)
             self._ahead = min(2 * self._ahead, AT_ONCE[1]) if n == until else AT_ONCE[0]
-            if n > begun and self._heard(t0 + n * h, reporting, told):
+            if n > begun and self._completed_results(t0 + n * h, reporting, callbacks):
                 self._note(np.zeros(len(self.sides), bool), t0 + n * h, h)
                 self._events(t0 + n * h, rounding(t0 + n * h, h))
                 return n
@@ -169,10 +169,10 @@ class SwitchingInstance(EventSteps):
         self._careful(n, t0, h, every, rows, first)
         return n + 1
 
-    def _heard(self, t: float, reporting: Sequence[Mode], told: Sequence[Told]) -> bool:
+    def _completed_results(self, t: float, reporting: Sequence[Mode], callbacks: Sequence[StepCallback]) -> bool:
         """Take what parts said that were told of a step to t; return whether one wants an event."""
         self._point = t
-        wants = [mode.heard(t, one.said) for mode, one in zip(reporting, told, strict=True)]
+        wants = [mode.completed_result(t, one.said) for mode, one in zip(reporting, callbacks, strict=True)]
         return any(wants)
 
     def derivative(self, t: float, x: np.ndarray) -> np.ndarray:

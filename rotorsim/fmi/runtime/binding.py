@@ -133,6 +133,13 @@ class CallError(Exception):
         return cls(*texts, **(more if isinstance(more, dict) else {}))
 
 
+def status_error(function: str, status: int, prefix: str, **more: Any) -> CallError:
+    """Return the failure that a status beyond a warning means; prefix: of its name, ``fmi2`` or ``fmi3``."""
+    kind = {2: "discard", 4: "fatal"}.get(status, "error")
+    word = prefix + STATUS[status] if 0 <= status < len(STATUS) else f"status {status}"
+    return CallError(kind, function, f"returned {word}", **more)
+
+
 class Library:
     """The library of an FMU: ``library["DoStep"]`` is the function, ready to be called."""
 

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from rotorsim.fmi.runtime.binding import STATUS, TYPES, CallError, Log, library_of
+from rotorsim.fmi.runtime.binding import TYPES, CallError, Log, library_of, status_error
 from rotorsim.fmi.runtime.memory import Block, Head
 
 FUNCTIONS = (
@@ -186,9 +186,7 @@ class Calls(ABC):
     def fail(self, function: str, status: int) -> None:
         """Raise what a status means."""
         self.head[Head.FUNCTION] = 0
-        kind = {2: "discard", 4: "fatal"}.get(status, "error")
-        word = self.library.prefix + STATUS[status] if 0 <= status < len(STATUS) else f"status {status}"
-        raise CallError(kind, function, f"returned {word}", log=self.log.taken())
+        raise status_error(function, status, self.library.prefix, log=self.log.taken())
 
     # -- values --------------------------------------------------------------------------------------------------------
 

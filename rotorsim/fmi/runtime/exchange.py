@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorsim.fmi.runtime.binding import STATUS, CallError
+from rotorsim.fmi.runtime.binding import CallError, status_error
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.instance import Instance, is_finite
 from rotorsim.fmi.runtime.memory import Block, Head, Op, Said
@@ -223,9 +223,8 @@ class Slave(Instance):
     def completed_said(self, t: float, said: int) -> bool:
         """Take what the FMU said to a completed step; return whether it wants an event update. Raises FmuError."""
         if said < 0:
-            kind = {2: "discard", 4: "fatal"}.get(-said, "error")
-            word = f"fmi{self.description.version[0]}{STATUS[-said]}" if -said < len(STATUS) else f"status {-said}"
-            raise self._failed(CallError(kind, "CompletedIntegratorStep", f"returned {word}"), t)
+            prefix = f"fmi{self.description.version[0]}"
+            raise self._failed(status_error("CompletedIntegratorStep", -said, prefix), t)
         self.ended = self.ended or bool(said & Said.TERMINATE)
         return bool(said & Said.EVENT)
 

@@ -257,19 +257,19 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
 }
 
 #if !defined(RS_STATIC)
-/* What is told of every step: says what it wants (not 0: no more steps), less than 0 if it fails. */
+/* A callback at the end of every step: returns what it wants (not 0: no more steps). */
 typedef struct {
   int64_t (*function)(void *);
   void *context;
   int64_t said;
-} rs_told;
+} rs_callback;
 
 /* As rs_run, step by step: at the end of each the right-hand side is asked for, so that all parts are there, and then
- * those that want to know are told. Returns the step reached: less than n1 where one wants something, or fails, or
- * where a step ends with what is no number; then nothing is told, and m is as before that step. held: room for m;
+ * the callbacks are called. Returns the step reached: less than n1 where one wants something, or where a step ends with
+ * what is no number; then none is called, and m is as before that step. held: room for m;
  * slope: (NX). */
-RS_EXPORT int64_t rs_run_told(const double *p, double *m, int64_t n0, int64_t n1, double t0, double h, int64_t every,
-                              double *rows, double *held, double *slope, int64_t n_told, rs_told *told) {
+RS_EXPORT int64_t rs_run_stepwise(const double *p, double *m, int64_t n0, int64_t n1, double t0, double h, int64_t every,
+                              double *rows, double *held, double *slope, int64_t n_callbacks, rs_callback *callback) {
   for (int64_t n = n0; n < n1; ++n) {
     memcpy(held, m, RS_SIZE * sizeof(double));
     rs_run(p, m, n, n + 1, t0, h, every, rows);
@@ -281,7 +281,7 @@ RS_EXPORT int64_t rs_run_told(const double *p, double *m, int64_t n0, int64_t n1
       return n;
     }
     int wants = 0;
-    for (int64_t k = 0; k < n_told; ++k) wants |= (told[k].said = told[k].function(told[k].context)) != 0;
+    for (int64_t k = 0; k < n_callbacks; ++k) wants |= (callback[k].said = callback[k].function(callback[k].context)) != 0;
     if (wants) return n + 1;
     if (n % every == 0) rows += RS_NY;
   }

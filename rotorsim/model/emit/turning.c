@@ -4,7 +4,7 @@
  * step at which they are set anew, and how: by rotation by the same or by a growing step, or not at all; then for every
  * angle its cosine and sine, and those of its step in half a step of the run, and of what that grows by. */
 #define RS_BLOCK 128 /* steps: a vector that is rotated 256 times is off by 3e-14, or 1e-13 where its step grows */
-#define RS_FEW 8 /* steps: for fewer, of another start or length than before, vectors are not worth being set */
+#define RS_FEW 8 /* steps: setting the vectors costs about as much as the cosines and sines of these */
 #define RS_STILL 1e-17 /* rad in a block: what a step grows by that is the same; a hundredth of what vectors are exact to */
 enum { RS_TURN_AT, RS_TURN_T0, RS_TURN_H, RS_TURN_END, RS_TURN_KIND, RS_TURN_VECTORS };
 enum { RS_NOT_EVEN, RS_SAME_STEP, RS_GROWING_STEP };
