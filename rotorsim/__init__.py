@@ -47,11 +47,13 @@ _HOME = {
     "run_up": "signals.envelopes",
     "save": "simulation.files",
     "save_diagnosis": "diagnosis.files",
+    "save_ensemble": "simulation.ensemble.files",
     "save_identification": "identification.files",
     "save_recording": "recordings.writing",
     "sensitivity": "linear.frequency",
     "simulate": "simulation.run",
     "simulate_as_recorded": "identification.as_recorded",
+    "simulate_many": "simulation.ensemble.many",
 }
 __all__ = ["__version__", *_HOME]
 __version__ = "0.1.0"

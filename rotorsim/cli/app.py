@@ -25,6 +25,7 @@ from rotorsim.errors import Problem, RotorsimError, visible
 # Verb -> one line of help. The verb's module is imported only when the verb is called: --help stays instant.
 VERBS = {
     "run": "Simulate a diagram; write, plot and summarise the recorded signals.",
+    "sweep": "Simulate a diagram many times with varied parameters: maps, bands, bifurcations, cascades.",
     "check": "Find every mistake in diagrams and recordings.",
     "new": "Copy a diagram that comes with rotorsim, to be edited.",
     "fmt": "Write diagrams in canonical form.",

@@ -175,12 +175,12 @@ def _save_h5(result: Result, path: Path) -> None:
     import h5py
 
     with atomic_target(path, size=_bytes(result)) as temporary:
-        _ask_for_room(temporary, _bytes(result))
+        ask_for_room(temporary, _bytes(result))
         with h5py.File(temporary, "w") as file:
             _fill_h5(file, result)
 
 
-def _ask_for_room(path: Path, size: int) -> None:
+def ask_for_room(path: Path, size: int) -> None:
     """Raise OSError where a file does not fit: HDF5 itself fails on a full disk in ways that cannot be caught."""
     if size and hasattr(os, "posix_fallocate"):
         with path.open("r+b") as stream:

@@ -162,7 +162,7 @@ def provenance_of(model: Model, p: np.ndarray) -> dict[str, Any]:
         "document_sha256": diagram.sha256,
         "parameters": {name: _plain(value) for name, value in values.items()},
         "parameters_changed": {name: _plain(value) for name, value in changed.items()},
-        "without": _without(diagram),
+        "without": without(diagram),
     }
 
 
@@ -170,7 +170,7 @@ def _plain(values: np.ndarray) -> Any:
     return float(values[0]) if values.size == 1 else values.tolist()
 
 
-def _without(diagram: Diagram) -> list[str]:
+def without(diagram: Diagram) -> list[str]:
     """Return the blocks of the document (sub-diagrams as a whole) that the diagram was loaded without."""
     there = {name.partition("/")[0] for name in diagram.nodes}
     return [str(name) for name in diagram.document.get("blocks", {}) if name not in there]

@@ -89,7 +89,7 @@ def judge(run: Run) -> Verdict:
     error, worst = _step_error(run)
     if model.n_z:
         return _sampled(run, at_end, x, z, rate, error) or _finished(run, error, worst)
-    A = _mean_jacobian(run, x)
+    A = mean_jacobian(model, run.p, run.end, x)
     poles = growing(A)
     why = f"the machine is unstable: {poles.describe(model)}" if poles and model.linear else ""
     if not model.linear and (poles or rate > 0):
@@ -155,15 +155,20 @@ def growth_rate(time: np.ndarray, rows: np.ndarray) -> float:
     last = np.ascontiguousarray(rows[len(rows) - 4 * m :].T).reshape(-1, 4, m)  # ten times as fast as across rows
     with np.errstate(all="ignore"):
         sizes = (last.max(axis=2) - last.min(axis=2)).T
+    return growth_of(sizes, m * (time[1] - time[0]))
+
+
+def growth_of(sizes: np.ndarray, seconds: float) -> float:
+    """Return how fast signals grow [1/s] whose ranges (eighths, n_y) are known in eighths [s] of a run."""
+    with np.errstate(all="ignore"):
         ratio = (sizes[1:] / sizes[:-1]).min(axis=0, initial=np.inf)
         kept = ratio[np.isfinite(ratio)]
     largest = float(kept.max(initial=0.0))
-    return float(np.log(largest) / (m * (time[1] - time[0]))) if largest > GROWS else 0.0
+    return float(np.log(largest) / seconds) if largest > GROWS else 0.0
 
 
-def _mean_jacobian(run: Run, x: np.ndarray) -> np.ndarray:
-    """Return d(dx/dt)/dx at a state; where it depends on time, its mean over the last turn."""
-    model, p, end = run.model, run.p, run.end
+def mean_jacobian(model: Model, p: np.ndarray, end: float, x: np.ndarray) -> np.ndarray:
+    """Return d(dx/dt)/dx at a state; where it depends on time, its mean over the last turn before ``end`` [s]."""
     times = np.array([end])
     if ca.depends_on(model.jacobian_expression, model.trace.t):
         speed = speed_of(model, p)
@@ -190,7 +195,7 @@ def _changing(run: Run, x: np.ndarray, poles: Growing, rate: float) -> str:
     if poles and rate >= 0.5 * float(poles.poles[0].real):
         return f"the machine is unstable: {poles.describe(model)}"
     if rate > 0 and (steady or not ca.depends_on(model.trace.xdot, model.trace.t)):
-        rest = growing(_mean_jacobian(run, model.x0(p)))
+        rest = growing(mean_jacobian(model, p, run.end, model.x0(p)))
         if rest:
             return f"the machine is unstable about its initial position: {rest.describe(model)}; its motion still grows"
     return ""
@@ -304,6 +309,11 @@ def relative_errors(
         errors, rms = (
             np.array([np.linalg.norm(one) / np.sqrt(len(one)) for one in arrays]) for arrays in (wrong, signals)
         )
+    return relative_to(model, names, errors, rms)
+
+
+def relative_to(model: Model, names: Sequence[str], errors: np.ndarray, rms: np.ndarray) -> np.ndarray:
+    """Return the rms of errors over those of signals, (signals,), as `relative_errors`."""
     units = np.array([model.select(name)[0].unit or "" for name in names])
     size = np.maximum(rms, [WHOLE_NUMBER * np.max(rms[units == unit]) for unit in units])
     usable = (size > 0) & np.isfinite(errors) & np.isfinite(rms)

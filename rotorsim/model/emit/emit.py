@@ -20,6 +20,7 @@ import casadi as ca
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.affine import collapse_linear
 from rotorsim.model.emit.angle_recurrence import share_harmonics
+from rotorsim.model.emit.numbers import DOUBLES, LANES, Numbers
 from rotorsim.model.emit.program import Pass, Program
 from rotorsim.model.emit.turning import Angle, emit_angles, turning_angles
 from rotorsim.model.emit.writer import Writer, array_leaf, call_table, called_functions
@@ -30,11 +31,6 @@ MOST_COLLAPSED = 400  # operations of the right-hand side above which it is not 
 UNROLL_LIMIT = 1500  # operations of the right-hand side above which the step is not unrolled
 STEP_INPUTS = {"p": ir.LEVEL_PARAMETER, "c": ir.LEVEL_PARAMETER, "h": ir.LEVEL_PARAMETER}
 FORCING_AT = {0.0: "g0", 0.5: "gm", 1.0: "g1"}  # forcing at t + c h
-STEP_ARGUMENTS = (
-    "double *restrict x, const double *restrict z, const double *restrict p, const double *restrict c, "
-    "const double *restrict g0, const double *restrict gm, const double *restrict g1, double h, "
-    "const double *restrict d, double *restrict y, double *restrict k, double *restrict work"
-)
 
 
 @dataclass(frozen=True)
@@ -100,12 +96,14 @@ def build_kernel(trace: Trace, record: Sequence[ca.SX]) -> Kernel:
     )
 
 
-def emit_c(kernel: Kernel, calling: tuple[Sequence[str], str] | None = None) -> str:
+def emit_c(kernel: Kernel, calling: tuple[Sequence[str], str] | None = None, lanes: int = 0) -> str:
     """Return the whole C source of a diagram: generated functions, then the runtime.
 
     calling: names of the functions that it calls, and the C text of `rs_call(k, arguments, results)`, by which it calls
     number k of them; default: those of a library that is connected (`rotorsim.model.called.connect`).
+    lanes: runs of an ensemble side by side, with the runtime lanes.c; 0: one run, with runtime.c.
     """
+    numbers = LANES if lanes else DOUBLES
     program = kernel.program
     table, connect = call_table(kernel.called)
     called: Sequence[str] = [*kernel.called]
@@ -114,28 +112,30 @@ def emit_c(kernel: Kernel, calling: tuple[Sequence[str], str] | None = None) -> 
     constants = {node: f"c[{k}]" for k, node in enumerate(kernel.constants)}
     forcing = {node: f"g[{k}]" for k, node in enumerate(kernel.forcing)}
     given = {**forcing, **constants}
-    state = "const double *x, const double *z, const double *p, const double *c, const double *g"
+    of = numbers.type
+    state = f"const {of} *x, const {of} *z, const {of} *p, const {of} *c, const {of} *g"
 
     def written(
         name: str, known: Mapping[int, str], inputs: str, call: str, out: str, nodes: Sequence[int]
     ) -> tuple[str, int]:
         targets = [(f"{out}[{k}]", node) for k, node in enumerate(nodes)]
-        arguments = f"{inputs}, double *restrict {out}, double *restrict work"
-        return Writer(program, known, array_leaf, called).text(name, arguments, f"{call}, {out}, work", targets)
+        arguments = f"{inputs}, {of} *restrict {out}, {of} *restrict work"
+        writer = Writer(program, known, array_leaf, called, numbers)
+        return writer.text(name, arguments, f"{call}, {out}, work", targets)
 
-    at_time = "double t, const double *restrict p, const double *restrict c"
+    at_time = f"{of} t, const {of} *restrict p, const {of} *restrict c"
     parts = [
-        written("rs_constants", {}, "const double *restrict p", "p", "c", kernel.constants),
+        written("rs_constants", {}, f"const {of} *restrict p", "p", "c", kernel.constants),
         written("rs_forcing", constants, at_time, "t, p, c", "g", kernel.forcing),
-        _turning(kernel, written, constants, at_time),
+        _turning(kernel, written, constants, at_time, of),
         written("rs_rhs", given, state, "x, z, p, c, g", "xdot", kernel.xdot),
         written("rs_outputs", given, state, "x, z, p, c, g", "y", kernel.outputs),
     ]
     if kernel.trace.samplers:
-        at_hit = f"{state}, const double *w, const double *hit"
+        at_hit = f"{state}, const {of} *w, const {of} *hit"
         parts.append(written("rs_update", given, at_hit, "x, z, p, c, g, w, hit", "zn", kernel.update))
     step = step_program(kernel) if kernel.unrolled else None
-    parts += _unrolled_step(step, called) if step else [(_staged_step(), 0)]
+    parts += _unrolled_step(step, called, numbers) if step else [(_staged_step(of), 0)]
     sizes = {
         **kernel.sizes,
         "RS_NC": len(kernel.constants),
@@ -145,6 +145,7 @@ def emit_c(kernel: Kernel, calling: tuple[Sequence[str], str] | None = None) -> 
         "RS_STAGES": len(RK4.b),
         "RS_WORK": max(size for _, size in parts),
         "RS_UNROLLED": int(kernel.unrolled),
+        **({"RS_LANES": lanes, "RS_NP": kernel.trace.p.numel()} if lanes else {}),
     }
     head = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
     head += [f"#define {name} {value}" for name, value in sizes.items()]
@@ -156,12 +157,25 @@ def emit_c(kernel: Kernel, calling: tuple[Sequence[str], str] | None = None) -> 
     ):
         if values:
             head.append(f"static const int {name}[] = {{{', '.join(map(str, values))}}};")
-    runtime = resources.files("rotorsim.model.emit").joinpath("runtime.c").read_text(encoding="utf-8")
-    return "\n".join([*head, table, *(text for text, _ in parts), runtime, connect])
+    head += [_file("lanes.h")] if lanes else []
+    return "\n".join(
+        [
+            *head,
+            table,
+            *(text for text, _ in parts),
+            _file("layout.h"),
+            _file("lanes.c" if lanes else "runtime.c"),
+            connect,
+        ]
+    )
+
+
+def _file(name: str) -> str:
+    return resources.files("rotorsim.model.emit").joinpath(name).read_text(encoding="utf-8")
 
 
 def _turning(
-    kernel: Kernel, written: Callable[..., tuple[str, int]], constants: Mapping[int, str], at_time: str
+    kernel: Kernel, written: Callable[..., tuple[str, int]], constants: Mapping[int, str], at_time: str, of: str
 ) -> tuple[str, int]:
     """Return the text of the angles, and of the forcing where their cosines and sines are known."""
     if not kernel.angles:
@@ -170,11 +184,10 @@ def _turning(
     turned |= {one.sine: f"a[{6 * k + 1}]" for k, one in enumerate(kernel.angles)}
     known = {node: text for node, text in turned.items() if node >= 0} | dict(constants)
     text, size = written(
-        "rs_forcing_turned", known, f"{at_time}, const double *restrict a", "t, p, c, a", "g", kernel.forcing
+        "rs_forcing_turned", known, f"{at_time}, const {of} *restrict a", "t, p, c, a", "g", kernel.forcing
     )
-    vectors = resources.files("rotorsim.model.emit").joinpath("turning.c").read_text(encoding="utf-8")
     before, angles = emit_angles(kernel.program, kernel.angles)
-    return "\n".join([before, vectors, angles, text]), size
+    return "\n".join([before, _file("turning.c"), angles, text]), size
 
 
 @dataclass(frozen=True)
@@ -243,26 +256,35 @@ def step_program(kernel: Kernel) -> StepProgram:
     return StepProgram(step, tuple(x), tuple(constants), tuple(nodes[n:]), tuple(nodes[:n]))
 
 
-def _unrolled_step(step: StepProgram, called: Sequence[str]) -> list[tuple[str, int]]:
+def _step_arguments(of: str) -> str:
+    given = ", ".join(f"const {of} *restrict {name}" for name in ("z", "p", "c", "g0", "gm", "g1", "d"))
+    return f"{of} h, {of} *restrict x, {given}, {of} *restrict y, {of} *restrict k, {of} *restrict work"
+
+
+def _unrolled_step(step: StepProgram, called: Sequence[str], numbers: Numbers) -> list[tuple[str, int]]:
     """Write the constants of the step, and the step, as one C function each."""
 
     def leaf(node: tuple[int, object, int]) -> str:
         _, vector, position = node
         return "h" if vector == "h" else f"{vector}[{position}]"
 
-    of_step = "double h, const double *restrict p, const double *restrict c, double *restrict d, double *restrict work"
+    of = numbers.type
+    of_step = f"{of} h, const {of} *restrict p, const {of} *restrict c, {of} *restrict d, {of} *restrict work"
     targets = [(f"d[{k}]", node) for k, node in enumerate(step.constants)]
-    constants = Writer(step.program, {}, leaf, called).text("rs_step_constants", of_step, "", targets, whole=True)
-    loads = "".join(f"  const double x_{i} = x[{i}];\n" for i in range(len(step.x)))
+    constants = Writer(step.program, {}, leaf, called, numbers).text(
+        "rs_step_constants", of_step, "", targets, whole=True
+    )
+    loads = "".join(f"  const {of} x_{i} = x[{i}];\n" for i in range(len(step.x)))
     given = {node: f"x_{i}" for i, node in enumerate(step.x)}
     given |= {node: f"d[{k}]" for k, node in enumerate(step.constants)}
     targets = [(f"y[{k}]", node) for k, node in enumerate(step.y)]
     targets += [(f"x[{i}]", node) for i, node in enumerate(step.new)]
-    text, size = Writer(step.program, given, leaf, called).text("rs_step", STEP_ARGUMENTS, "", targets, whole=True)
+    arguments = _step_arguments(of)
+    text, size = Writer(step.program, given, leaf, called, numbers).text("rs_step", arguments, "", targets, whole=True)
     return [constants, (text.replace("{\n", "{\n" + loads + "  (void)k, (void)d, (void)h;\n", 1), size)]
 
 
-def _staged_step() -> str:
+def _staged_step(of: str) -> str:
     """Write the step as calls of the right-hand side, k_j in row j of k and the state of a stage behind them."""
 
     def combined(weights: Sequence[float]) -> str:
@@ -270,11 +292,11 @@ def _staged_step() -> str:
         return f"x[i] + h * ({' + '.join(terms)})"
 
     each = "  for (int i = 0; i < RS_NX; ++i)"
-    lines = ["  (void)d;", "  rs_outputs(x, z, p, c, g0, y, work);", "  double *restrict at = k + RS_STAGES * RS_NX;"]
+    lines = ["  (void)d;", "  rs_outputs(x, z, p, c, g0, y, work);", f"  {of} *restrict at = k + RS_STAGES * RS_NX;"]
     for stage, (row, c) in enumerate(zip(RK4.a, RK4.c, strict=True)):
         if any(row):
             lines.append(f"{each} at[i] = {combined(row)};")
         state = "at" if any(row) else "x"
         lines.append(f"  rs_rhs({state}, z, p, c, {FORCING_AT[c]}, k + {stage} * RS_NX, work);")
     lines.append(f"{each} x[i] = {combined(RK4.b)};")
-    return "\n".join([f"static void rs_step({STEP_ARGUMENTS}) {{", *lines, "}", ""])
+    return "\n".join([f"static void rs_step({_step_arguments(of)}) {{", *lines, "}", ""])

@@ -1,6 +1,6 @@
 /* The C runtime of rotorsim: time loop, sample hits, random draws, bounds of states.
  *
- * It is appended to the generated functions of one diagram and is the same in process and in an FMU.
+ * It is appended to the generated functions of one diagram and layout.h, and is the same in process and in an FMU.
  * Generated before it: RS_NX states, RS_NZ discrete states, RS_NC values that depend on parameters only,
  * RS_NG values that depend on time and parameters only, RS_NA angles that may turn evenly (turning.c), RS_NY recorded
  * values, RS_NS samplers,
@@ -8,32 +8,7 @@
  * which rs_step_constants computes RS_ND values that follow from the length of the step), and the functions
  * rs_constants, rs_forcing, rs_forcing_turned (with angles), rs_rhs, rs_outputs, rs_update, rs_step. With RS_STATIC
  * defined no function is exported.
- *
- * One instance is one block of doubles m, laid out as below; nothing else holds state.
  */
-#define RS_AT_X 0
-#define RS_AT_Z (RS_AT_X + RS_NX)
-#define RS_AT_G (RS_AT_Z + RS_NZ)
-#define RS_AT_C (RS_AT_G + 3 * RS_NG)
-#define RS_AT_K (RS_AT_C + RS_NC)
-#define RS_AT_W (RS_AT_K + (RS_STAGES + 1) * RS_NX)
-#define RS_AT_HIT (RS_AT_W + RS_NW)
-#define RS_AT_COUNT (RS_AT_HIT + RS_NS)
-#define RS_AT_NEW (RS_AT_COUNT + RS_NS)
-#define RS_AT_ROW (RS_AT_NEW + RS_NZ)
-#define RS_AT_WORK (RS_AT_ROW + RS_NY)
-#define RS_AT_D (RS_AT_WORK + RS_WORK) /* the length of the step, and what follows from it */
-#define RS_AT_TURN (RS_AT_D + 1 + RS_ND)
-#define RS_SIZE (RS_AT_TURN + (RS_NA ? 5 + 6 * RS_NA : 0) + 1)
-
-#if defined(RS_STATIC) /* an FMU shows its FMI functions alone */
-#define RS_EXPORT static
-#elif defined(_WIN32)
-#define RS_EXPORT __declspec(dllexport)
-#else
-#define RS_EXPORT __attribute__((visibility("default")))
-#endif
-
 RS_EXPORT int64_t rs_size(void) { return RS_SIZE; }
 
 /* Compute everything that depends on parameters only. */
@@ -80,20 +55,6 @@ RS_EXPORT void rs_derivatives(int64_t n, const double *t, const double *x, const
 }
 
 #if RS_NS > 0
-static uint64_t rs_mix(uint64_t s) {
-  s = (s ^ (s >> 30)) * 0xbf58476d1ce4e5b9ULL;
-  s = (s ^ (s >> 27)) * 0x94d049bb133111ebULL;
-  return s ^ (s >> 31);
-}
-
-/* Standard normal draw number j of hit k: a counter-based generator (splitmix64, Box-Muller). */
-static double rs_normal(uint64_t seed, uint64_t k, uint64_t j) {
-  const uint64_t base = rs_mix(rs_mix(seed + 0x9e3779b97f4a7c15ULL) + k) + 2 * j;
-  const double u = ((double)(rs_mix(rs_mix(base)) >> 11) + 0.5) * 0x1p-53;
-  const double v = (double)(rs_mix(rs_mix(base + 1)) >> 11) * 0x1p-53;
-  return sqrt(-2.0 * log(u)) * cos(6.283185307179586 * v);
-}
-
 /* Time of the next hit at or after now, of all samplers. */
 static double rs_next_hit(const double *p, const double *m) {
   double next = HUGE_VAL;
@@ -156,8 +117,6 @@ static const double *rs_step_of(double h, const double *p, double *m) {
   return m + RS_AT_D + 1;
 }
 
-#define RS_LARGEST 1e290 /* of all states together, as in instance.py */
-
 /* Whether states are numbers within all bounds. */
 static int rs_bounded(const double *x) {
   double a = 0.0, b = 0.0;
@@ -204,7 +163,7 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
       if (stop > end - 1e-9 * h) stop = end;
       rs_forcing(t + 0.5 * (stop - t), p, c, gm, work);
       rs_forcing(stop, p, c, g1, work);
-      rs_step(x, z, p, c, g0, gm, g1, stop - t, rs_step_of(stop - t, p, m), row, k, work);
+      rs_step(stop - t, x, z, p, c, g0, gm, g1, rs_step_of(stop - t, p, m), row, k, work);
       double *swap = g0;
       g0 = g1, g1 = swap;
 #if RS_UNROLLED && RS_NX > 0
@@ -229,7 +188,7 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
       rs_forcing(middle, p, c, gm, work);
       rs_forcing(end, p, c, g1, work);
     }
-    rs_step(x, z, p, c, g0, gm, g1, h, d, row, k, work);
+    rs_step(h, x, z, p, c, g0, gm, g1, d, row, k, work);
     double *swap = g0;
     g0 = g1, g1 = swap;
 #endif

@@ -223,6 +223,13 @@ def _instructions(compiler: Compiler) -> str:
         return ""
 
 
+def lane_width(compiler: Compiler) -> int:
+    """Return how many doubles the vectors of this processor hold, as far as the compiler knows."""
+    macros = _instructions(compiler)
+    widths = {"__AVX512F__": 8, "__AVX__": 4, "__SSE2__": 2, "__ARM_NEON": 2}
+    return next((width for name, width in widths.items() if f"#define {name} " in macros), 1)
+
+
 def compile_c(source: str, compiler: Compiler, optimise: str = "-O3") -> tuple[ctypes.CDLL, bool]:
     """Return the library of a C source, for this processor, and whether it came from the cache.
 

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import casadi as ca
 
 from rotorsim.model.emit import program as ir
+from rotorsim.model.emit.numbers import literal
 from rotorsim.model.emit.program import Program
-from rotorsim.model.emit.writer import literal
 
 MOST_ANGLES = 8
 _SUMS = {ir.ADD: "add", ir.SUB: "sub"}

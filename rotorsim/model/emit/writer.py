@@ -7,66 +7,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import casadi as ca
-
 from rotorsim.model.emit import program as ir
+from rotorsim.model.emit.numbers import DOUBLES, Numbers
 from rotorsim.model.emit.program import Program
 
 STATEMENTS_PER_FUNCTION = 200  # statements per C function of large diagrams (compilers are slow on long functions)
-
-_INFIX = {
-    ca.OP_ADD: "+",
-    ca.OP_SUB: "-",
-    ca.OP_MUL: "*",
-    ca.OP_DIV: "/",
-    ca.OP_LT: "<",
-    ca.OP_LE: "<=",
-    ca.OP_EQ: "==",
-    ca.OP_NE: "!=",
-    ca.OP_AND: "&&",
-    ca.OP_OR: "||",
-}
-_CALL = {
-    ca.OP_EXP: "exp",
-    ca.OP_LOG: "log",
-    ca.OP_POW: "pow",
-    ca.OP_CONSTPOW: "pow",
-    ca.OP_SQRT: "sqrt",
-    ca.OP_SIN: "sin",
-    ca.OP_COS: "cos",
-    ca.OP_TAN: "tan",
-    ca.OP_ASIN: "asin",
-    ca.OP_ACOS: "acos",
-    ca.OP_ATAN: "atan",
-    ca.OP_FLOOR: "floor",
-    ca.OP_CEIL: "ceil",
-    ca.OP_FMOD: "fmod",
-    ca.OP_FABS: "fabs",
-    ca.OP_COPYSIGN: "copysign",
-    ca.OP_ERF: "erf",
-    ca.OP_FMIN: "fmin",
-    ca.OP_FMAX: "fmax",
-    ca.OP_SINH: "sinh",
-    ca.OP_COSH: "cosh",
-    ca.OP_TANH: "tanh",
-    ca.OP_ASINH: "asinh",
-    ca.OP_ACOSH: "acosh",
-    ca.OP_ATANH: "atanh",
-    ca.OP_ATAN2: "atan2",
-    ca.OP_LOG1P: "log1p",
-    ca.OP_EXPM1: "expm1",
-    ca.OP_HYPOT: "hypot",
-    ca.OP_REMAINDER: "remainder",
-}
-_FORMAT: dict[int, Callable[[str, str], str]] = {
-    ca.OP_NEG: lambda a, _: f"-{a}",
-    ca.OP_SQ: lambda a, _: f"{a} * {a}",
-    ca.OP_TWICE: lambda a, _: f"{a} + {a}",
-    ca.OP_INV: lambda a, _: f"1.0 / {a}",
-    ca.OP_NOT: lambda a, _: f"!{a}",
-    ca.OP_SIGN: lambda a, _: f"({a} > 0) - ({a} < 0)",
-    ca.OP_IF_ELSE_ZERO: lambda a, b: f"{a} != 0 ? {b} : 0.0",
-}
 
 
 class Writer:
@@ -74,15 +19,22 @@ class Writer:
 
     given: node -> C text of what is computed before. leaf: C text of an input of the program, such as `array_leaf`.
     called: functions that are called by their number, `called_functions` of all programs of the source.
+    numbers: what it computes with.
     """
 
     def __init__(
-        self, program: Program, given: Mapping[int, str], leaf: Callable[[ir.Node], str], called: Sequence[str] = ()
+        self,
+        program: Program,
+        given: Mapping[int, str],
+        leaf: Callable[[ir.Node], str],
+        called: Sequence[str] = (),
+        numbers: Numbers = DOUBLES,
     ) -> None:
         self.program = program
         self.given = given
         self.leaf = leaf
         self.called = called
+        self.numbers = numbers
 
     def text(
         self, name: str, arguments: str, call: str, targets: Sequence[tuple[str, int]], whole: bool = False
@@ -156,14 +108,14 @@ class Writer:
             return self.given[number]
         op = self.program.nodes[number][0]
         if op == ir.CONSTANT:
-            return literal(self.program.value(number))
+            return self.numbers.constant(self.program.value(number))
         return self.leaf(self.program.nodes[number]) if op == ir.INPUT else f"v{number}"
 
     def _statement(self, number: int, operand: Callable[[int], str]) -> str:
         """Return what computes a node: of a call, all that it gives."""
         call = self.program.nodes[number][1]
         if not isinstance(call, ir.Call):
-            return f"  const double v{number} = {self._expression(number, operand)};"
+            return f"  const {self.numbers.type} v{number} = {self._expression(number, operand)};"
         given = ", ".join(map(operand, call.operands)) or "0.0"
         which, size = self.called.index(call.name), max(call.function.nnz_out(), 1)
         return (
@@ -175,12 +127,7 @@ class Writer:
         op, a, b = self.program.nodes[number]
         if op == ir.RESULT:
             return f"v{a}[{b}]"
-        left, right = (*map(operand, self.program.operands(number)), "")[:2]
-        if op in _INFIX:
-            return f"{left} {_INFIX[op]} {right}"
-        if op in _CALL:
-            return f"{_CALL[op]}({left}, {right})" if right else f"{_CALL[op]}({left})"
-        return _FORMAT[op](left, right)
+        return self.numbers.expression(op, *map(operand, self.program.operands(number)))
 
 
 def called_functions(programs: Iterable[Program]) -> dict[str, Any]:
@@ -198,16 +145,6 @@ def call_table(called: Mapping[str, Any]) -> tuple[str, str]:
     table = f"{names}{entry}static struct rs_entry rs_called[{len(called)}];\n"
     table += "#define rs_call(k, given, results) rs_called[k].function(rs_called[k].context, given, results)\n"
     return table, "RS_EXPORT void rs_connect(const void *from) { memcpy(rs_called, from, sizeof rs_called); }\n"
-
-
-def literal(value: float) -> str:
-    """Return the C text of a number."""
-    if math.isnan(value):
-        return "NAN"
-    if math.isinf(value):
-        return "INFINITY" if value > 0 else "(-INFINITY)"
-    text = repr(value)
-    return f"({text})" if value < 0 or text.startswith("-") else text
 
 
 def array_leaf(node: tuple[int, object, int]) -> str:
