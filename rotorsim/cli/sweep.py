@@ -33,13 +33,7 @@ if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.simulation.ensemble.result import Ensemble
 
-ENSEMBLE_FIGURES = (
-    "curve",
-    "map",
-    "band",
-    "bifurcation",
-    "cascade",
-)  # of `report.figures.ensemble`, which loads matplotlib
+ENSEMBLE_FIGURES = ("curve", "map", "band", "bifurcation", "cascade")  # of `report.figures.ensemble`
 NEEDED = {"bifurcation": "poincare", "cascade": "history"}
 
 

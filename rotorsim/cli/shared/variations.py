@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
 
 MOST_SWEPT = 1_000_000
-LAW = re.compile(r"(normal|uniform)\((.*)\)", re.IGNORECASE)
+DISTRIBUTION = re.compile(r"(normal|uniform)\((.*)\)", re.IGNORECASE)
 FORMS = (
     "--vary 'speed=600 rpm:10 rpm:6000 rpm' (start:step:stop), 'controller.KP=1e4, 2e4', "
     "'unbalance.mass=normal(0.1 kg, 5 %)' or 'amb.gap=uniform(0.4 mm, 0.6 mm)'"
@@ -110,7 +110,7 @@ def _variation(
         except UnitError as error:
             raise RotorsimError(Problem(f"--vary {text}: {error.what}", hint=error.hint)) from None
 
-    law = LAW.fullmatch(values)
+    law = DISTRIBUTION.fullmatch(values)
     if law:
         given = [part.strip() for part in law[2].split(",")]
         refuse_if(len(given) != 2, f"--vary {text}: {law[1]} takes two numbers, {len(given)} given", hint=FORMS)

@@ -33,9 +33,7 @@ from rotorsim.simulation.validity import (
     stretches_of,
 )
 
-SURELY_FINE = (
-    0.9  # of LARGEST_ERROR: below, the error of a step is fine, though its rms is that of all rows, not of every few
-)
+SURELY_FINE = 0.9  # of LARGEST_ERROR, as the rms is that of all rows here, not of every few
 CHUNK = 20_000  # steps between two looks at Ctrl-C
 Progress = Callable[[float], None]
 

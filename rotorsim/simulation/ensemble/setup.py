@@ -14,7 +14,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import Model
 from rotorsim.model.input_limits import input_limits
 from rotorsim.simulation.ensemble.batch import Setup, recorded_columns
-from rotorsim.simulation.ensemble.reductions import ROWS_A_TURN, OF_TURNS, Rows, Wanted, chosen_reductions
+from rotorsim.simulation.ensemble.reductions import OF_TURNS, ROWS_A_TURN, Rows, Wanted, chosen_reductions
 from rotorsim.simulation.run import LARGEST_RECORD, check_times
 
 WINDOW_ROWS = 8  # rows
