@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import casadi as ca
 import numpy as np
@@ -50,6 +51,26 @@ class Reduced:
     history: np.ndarray | None
     last: np.ndarray
 
+    def part(self, runs: slice) -> Reduced:
+        """Return some of the runs."""
+        return Reduced(
+            self.moments[..., runs],
+            self.sums[..., runs],
+            self.products[..., runs],
+            self.points[runs],
+            self.found[runs],
+            None if self.history is None else self.history[..., runs],
+            self.last[..., runs],
+        )
+
+    @staticmethod
+    def joined(parts: Sequence[Reduced]) -> Reduced:
+        """Return the runs of several together."""
+        names = [f.name for f in fields(Reduced) if f.name != "history" or parts[0].history is not None]
+        axes = {name: 0 if name in ("points", "found") else -1 for name in names}
+        together = {name: np.concatenate([getattr(part, name) for part in parts], axes[name]) for name in names}
+        return Reduced(**{"history": None, **together})  # type: ignore[arg-type]
+
 
 class _CReduction(ctypes.Structure):
     _fields_ = [
@@ -86,7 +107,7 @@ class LaneLibrary:
 
     def array(self, *shape: int) -> np.ndarray:
         """Return zeros of a shape whose last part are the lanes, where vectors may lie."""
-        size = int(np.prod(shape)) * self.width
+        size = math.prod(shape) * self.width
         room = np.zeros(size + ALIGNMENT // 8)
         skip = -room.ctypes.data % ALIGNMENT // 8
         return room[skip : skip + size].reshape(*shape, self.width)

@@ -155,16 +155,15 @@ def growth_rate(time: np.ndarray, rows: np.ndarray) -> float:
     last = np.ascontiguousarray(rows[len(rows) - 4 * m :].T).reshape(-1, 4, m)  # ten times as fast as across rows
     with np.errstate(all="ignore"):
         sizes = (last.max(axis=2) - last.min(axis=2)).T
-    return growth_of(sizes, m * (time[1] - time[0]))
+    return float(growth_of(sizes, m * (time[1] - time[0])))
 
 
-def growth_of(sizes: np.ndarray, seconds: float) -> float:
-    """Return how fast signals grow [1/s] whose ranges (eighths, n_y) are known in eighths [s] of a run."""
+def growth_of(sizes: np.ndarray, seconds: Any) -> Any:
+    """Return how fast signals grow [1/s] whose ranges (eighths, n_y, ...) are known in eighths [s] of runs (...)."""
     with np.errstate(all="ignore"):
         ratio = (sizes[1:] / sizes[:-1]).min(axis=0, initial=np.inf)
-        kept = ratio[np.isfinite(ratio)]
-    largest = float(kept.max(initial=0.0))
-    return float(np.log(largest) / seconds) if largest > GROWS else 0.0
+        largest = np.where(np.isfinite(ratio), ratio, 0.0).max(axis=0, initial=0.0)
+        return np.where(largest > GROWS, np.log(largest) / seconds, 0.0)
 
 
 def mean_jacobian(model: Model, p: np.ndarray, end: float, x: np.ndarray) -> np.ndarray:
@@ -313,11 +312,11 @@ def relative_errors(
 
 
 def relative_to(model: Model, names: Sequence[str], errors: np.ndarray, rms: np.ndarray) -> np.ndarray:
-    """Return the rms of errors over those of signals, (signals,), as `relative_errors`."""
+    """Return the rms of errors over those of signals, (signals, ...), as `relative_errors`."""
     units = np.array([model.select(name)[0].unit or "" for name in names])
-    size = np.maximum(rms, [WHOLE_NUMBER * np.max(rms[units == unit]) for unit in units])
+    size = np.maximum(rms, np.array([WHOLE_NUMBER * np.max(rms[units == unit], axis=0) for unit in units]))
     usable = (size > 0) & np.isfinite(errors) & np.isfinite(rms)
-    return np.asarray(np.divide(errors, size, out=np.zeros(len(errors)), where=usable))
+    return np.asarray(np.divide(errors, size, out=np.zeros(np.shape(errors)), where=usable))
 
 
 def _step_that_would_do(run: Run, h: float) -> float | None:

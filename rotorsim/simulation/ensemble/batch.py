@@ -1,63 +1,25 @@
-"""A few runs of an ensemble: side by side in lanes, or one by one where that cannot be; how each ended.
-
-What is decided for all together is that a run is fine, or that a linear machine is unstable. Whatever looks otherwise
-is simulated once more by itself, and what `simulate` says of it holds.
-"""
+"""A few runs of an ensemble: side by side in lanes, or one by one where that cannot be."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import pairwise
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from rotorsim.linear.linearisation import jacobians
-from rotorsim.linear.stability import growing, step_factor
-from rotorsim.model.compiled import Model
 from rotorsim.model.emit.toolchain import CompilerError, find_compiler, lane_width
-from rotorsim.model.input_limits import input_limits
-from rotorsim.model.lanes import LaneLibrary, Lanes, Reduced
-from rotorsim.simulation.ensemble.reductions import LARGEST, LEAST, SQUARES, Columns, Moments, Wanted, reduce_rows
+from rotorsim.model.lanes import LaneLibrary, Lanes
+from rotorsim.simulation.ensemble.reductions import reduce_rows
+from rotorsim.simulation.ensemble.shared import Setup, recorded_columns
+from rotorsim.simulation.ensemble.verdicts import Reached, joined_runs, verdicts
 from rotorsim.simulation.result import Result
-from rotorsim.simulation.run import LARGEST_RESIDUAL, simulate
-from rotorsim.simulation.validity import (
-    LARGEST_ERROR,
-    WHOLE_NUMBER,
-    growth_of,
-    mean_jacobian,
-    relative_to,
-    stretches_of,
-)
+from rotorsim.simulation.run import simulate
+from rotorsim.simulation.validity import stretches_of
 
-SURELY_FINE = 0.9  # of LARGEST_ERROR, as the rms is that of all rows here, not of every few
 CHUNK = 20_000  # steps between two looks at Ctrl-C
 Progress = Callable[[float], None]
-
-
-@dataclass(frozen=True)
-class Setup:
-    """What all runs of an ensemble share. angle: name of the shaft angle, empty where there is none.
-
-    names: signals that are kept; watched: those, and the ones that have limits.
-    """
-
-    model: Model
-    names: tuple[str, ...]
-    angle: str
-    n_steps: int
-    every: int
-    method: str
-    wanted: Wanted
-    use_compiler: bool = True
-
-    @property
-    def with_end(self) -> bool:
-        """Whether the end of a run is a recorded row."""
-        return self.n_steps % self.every == 0
 
 
 @dataclass(eq=False)
@@ -70,30 +32,11 @@ class Outcome:
     values: dict[str, dict[str, np.ndarray]]
     alone: int = 0
 
-
-def recorded_columns(model: Model, names: tuple[str, ...], angle: str, radii: bool) -> tuple[list[ca.SX], Columns]:
-    """Return the expressions of a row, and where things lie in it; the residuals of loops come behind."""
-    expressions: list[ca.SX] = []
-    size = 0
-
-    def add(expression: ca.SX) -> slice:
-        nonlocal size
-        expressions.append(expression)
-        size += expression.numel()
-        return slice(size - expression.numel(), size)
-
-    signals = {name: (add(model.expression(name)), model.shape_of(name)) for name in names}
-    distances = {}
-    for name, (_, shape) in signals.items():
-        if radii and shape[-1:] == (2,):
-            x, y = (model.expression(name)[k::2] for k in (0, 1))
-            distances[name] = add(ca.sqrt(x**2 + y**2)), shape[:-1]
-    at = (0, 0, 0)
-    if angle:
-        theta = model.expression(angle)
-        at = (add(ca.cos(theta)).start, add(ca.sin(theta)).start, add(theta).start)
-    loops = model.trace.loop_residuals.numel()
-    return expressions, Columns(signals, distances, at, slice(size, size + loops), size + loops)
+    def in_order(self, order: np.ndarray) -> Outcome:
+        """Return the runs in another order."""
+        values = {kind: {name: array[order] for name, array in of.items()} for kind, of in self.values.items()}
+        status, message = ([items[k] for k in order.tolist()] for items in (self.status, self.message))
+        return Outcome(status, message, self.step_error[order], values, self.alone)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,23 +97,26 @@ class Runner:
         """Perform runs; progress: called with the fraction done. Raises RotorsimError for values that do not fit."""
         model = self.setup.model
         p = np.array([model.parameter_vector(run.parameters) for run in runs]).reshape(len(runs), model.n_p)
-        width = self.library.width if self.library else 1
+        if self.library is None:
+            share = partial(_share, progress) if progress else None
+            return joined([self._alone(r, share and partial(share, k, 1, len(runs))) for k, r in enumerate(runs)])
+        order: list[int] = []
         parts = []
-        for first in range(0, len(runs), width):
-            group = runs[first : first + width]
-            told = None if progress is None else partial(_share, progress, first, len(group), len(runs))
-            if self.library is not None and self._in_step(group, p[first : first + width]):
-                parts.append(self._side_by_side(self.library, group, p[first : first + width], told))
-            else:
-                parts += [self._alone(run, told if len(group) == 1 else None) for run in group]
-        return joined(parts)
+        for group in self._groups(self.library.width, runs, p):
+            told = None if progress is None else partial(_share, progress, len(order), len(group), len(runs))
+            parts.append(self._side_by_side(self.library, [runs[k] for k in group], p[group], told))
+            order += group
+        outcome = self._judged(joined_runs(parts), [runs[k] for k in order], p[order])
+        return outcome.in_order(np.argsort(order))
 
-    def _in_step(self, group: Sequence[Values], p: np.ndarray) -> bool:
-        """Return whether all samplers of a group hit together."""
+    def _groups(self, width: int, runs: Sequence[Values], p: np.ndarray) -> Iterator[list[int]]:
+        """Yield the runs that go side by side: of sampled diagrams those whose samplers hit together."""
         periods = [sampler.period for sampler in self.setup.model.trace.samplers]
-        return not periods or bool(
-            (p[:, periods] == p[0, periods]).all() and all(run.step == group[0].step for run in group)
-        )
+        alike: dict[tuple[float, ...], list[int]] = {}
+        for k, run in enumerate(runs):
+            alike.setdefault((*p[k, periods], run.step) if periods else (), []).append(k)
+        for members in alike.values():
+            yield from (members[first : first + width] for first in range(0, len(members), width))
 
     # -- one by one ------------------------------------------------------------------------------------------------
 
@@ -213,136 +159,52 @@ class Runner:
 
     def _side_by_side(
         self, library: LaneLibrary, group: Sequence[Values], p: np.ndarray, progress: Progress | None
-    ) -> Outcome:
+    ) -> Reached:
         """Run as many as there are lanes; lanes that are left repeat the last run."""
-        setup, model = self.setup, self.setup.model
-        n = len(group)
+        setup, n = self.setup, len(group)
         lane = np.minimum(np.arange(library.width), n - 1)
         lanes = Lanes(library, p[lane], np.array([group[k].step for k in lane]), setup.wanted.reduction)
-        starts = [model.initial(one) for one in p]
-        x = np.array([z[0] if run.initial is None else run.initial for run, z in zip(group, starts, strict=True)])
-        z = np.array([start[1] for start in starts])
-        lanes.start(x.reshape(n, -1)[lane], z.reshape(n, -1)[lane])
+        starts = [setup.model.initial(one) for one in p]
+        x = np.array([x0 if run.initial is None else run.initial for run, (x0, _) in zip(group, starts, strict=True)])
+        lanes.start(x.reshape(n, -1)[lane], np.array([z0 for _, z0 in starts]).reshape(n, -1)[lane])
         ahead, saved, at = stretches_of(setup.n_steps), [], 0
         while at < setup.n_steps:
-            for stretch in ahead:
-                if stretch[0] == at:
-                    saved.append((*stretch, lanes.save()))
+            saved += [(*stretch, lanes.save()) for stretch in ahead if stretch[0] == at]
             until = min(at + CHUNK, setup.n_steps, *(first for first, _ in ahead if first > at))
-            reached = lanes.run(at, until, setup.every)
-            if reached < until:
+            if lanes.run(at, until, setup.every) < until:
                 break
             at = until
             if progress is not None:
                 progress(at / setup.n_steps)
         kept = lanes.end(setup.with_end and at == setup.n_steps)
+        whole = at == setup.n_steps
+        errors = np.full((len(ahead), *kept.last.shape), np.nan)
+        if whole:
+            with np.errstate(all="ignore"):
+                errors[:] = [_rms_errors(lanes, *stretch) for stretch in saved]
+        return Reached(kept, (lanes.failed == 0) & whole, errors, lanes.x.copy()).first(n)
+
+    def _judged(self, reached: Reached, runs: Sequence[Values], p: np.ndarray) -> Outcome:
+        """Return how runs ended; those whose verdict is not plain run once more by themselves."""
+        steps = np.array([run.step for run in runs])
         with np.errstate(all="ignore"):
-            values = setup.wanted.values(kept)
-            status, message, error = self._judged(lanes, kept, saved, group, p, at)
-        values = {kind: {name: array[:n] for name, array in of.items()} for kind, of in values.items()}
-        alone = 0
-        for k in (k for k in range(n) if not status[k]):
-            result = self._simulated(group[k])
-            status[k], message[k], alone = result.status, result.message, alone + 1
+            values = self.setup.wanted.values(reached.kept)
+            status, message, error = verdicts(self.setup, reached, p, steps)
+        doubtful = [k for k in range(len(runs)) if not status[k]]
+        for k in doubtful:
+            result = self._simulated(runs[k])
+            status[k], message[k] = result.status, result.message
             error[k] = result.counters.get("step_error", error[k])
-            if len(result.time) < setup.wanted.rows.n:
+            if len(result.time) < self.setup.wanted.rows.n:
                 for array in (array for of in values.values() for array in of.values()):
                     array[k] = np.nan
-        return Outcome(status, message, error, values, alone)
+        return Outcome(status, message, error, values, len(doubtful))
 
-    def _judged(
-        self,
-        lanes: Lanes,
-        kept: Reduced,
-        saved: Sequence[tuple[int, int, np.ndarray]],
-        group: Sequence[Values],
-        p: np.ndarray,
-        reached: int,
-    ) -> tuple[list[str], list[str], np.ndarray]:
-        """Return status, message and error of the step of every run of a group; status "" where one must run alone."""
-        setup, model, n = self.setup, self.setup.model, len(group)
-        end, h = setup.n_steps * np.array([run.step for run in group]), [run.step for run in group]
-        moments = Moments(kept.moments, setup.wanted.reduction.ends)
-        doubtful = (lanes.failed[:n] > 0) | (reached < setup.n_steps)
-        whole = moments.between(0, setup.wanted.rows.n)[..., :n]
-        largest = np.maximum(np.abs(whole[LEAST]), np.abs(whole[LARGEST]))
-        doubtful |= ~np.isfinite(whole[SQUARES]).all(axis=0)
-        doubtful |= (largest[setup.wanted.columns.residuals] > LARGEST_RESIDUAL).any(axis=0)
-        doubtful |= self._beyond_limits(largest, p)
-        if doubtful.all():
-            return [""] * n, [""] * n, np.full(n, np.nan)
-        error = self._step_errors(lanes, saved, whole[SQUARES][: self._entries])
-        doubtful |= ~(error <= SURELY_FINE * LARGEST_ERROR)
-        rates = self._growth(moments, end)[:n]
-        poles = self._poles(p, end, lanes.x.T[:n])
-        status, message = ["finished"] * n, [""] * n
-        for k in range(n):
-            grows = growing(poles[k]) if poles is not None and np.isfinite(poles[k]).all() else None
-            if doubtful[k]:
-                status[k] = ""
-            elif model.linear and grows:
-                status[k], message[k] = "unstable", f"the machine is unstable: {grows.describe(model)}"
-            elif grows or rates[k] > 0:
-                status[k] = ""
-            elif model.linear and poles is not None:
-                values = np.linalg.eigvals(poles[k])
-                if (step_factor(h[k] * values[values.real < 0]) > 1 + WHOLE_NUMBER).any():
-                    status[k] = ""
-        return status, message, error
 
-    def _beyond_limits(self, largest: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Return which runs have an input beyond what its block holds for, by the largest magnitudes (n_y, n)."""
-        model, columns = self.setup.model, self.setup.wanted.columns
-        beyond = np.zeros(len(p), bool)
-        for k, values in enumerate(p):
-            for item in input_limits(model.diagram, {name: values[part] for name, part in model.parameters.items()}):
-                beyond[k] |= bool((largest[columns.signals[str(item.source)][0], k] >= item.limit).any())
-        return beyond
-
-    def _step_errors(
-        self, lanes: Lanes, saved: Sequence[tuple[int, int, np.ndarray]], squares: np.ndarray
-    ) -> np.ndarray:
-        """Return the largest relative error of a signal by the step, (width,), as `validity` estimates it."""
-        signals = self.setup.wanted.columns.signals
-        worst = np.zeros(squares.shape[1])
-        if not signals:
-            return worst
-        first_entries = [part.start for part, _ in signals.values()]
-        rms = np.sqrt(np.add.reduceat(squares, first_entries)[: len(signals)] / self.setup.wanted.rows.n)
-        for first, last, before in saved:
-            change = lanes.repeat(before, first, last, 1) - lanes.repeat(before, first, last, 2)
-            wrong = np.square(change).sum(axis=0)[: self._entries, : len(worst)] * (16 / 15) ** 2
-            errors = np.sqrt(np.add.reduceat(wrong, first_entries) / len(change))
-            for k in range(len(worst)):
-                found = relative_to(self.setup.model, tuple(signals), errors[:, k], rms[:, k]).max()
-                worst[k] = max(worst[k], found) if np.isfinite(errors[:, k]).all() else np.inf
-        return worst
-
-    @property
-    def _entries(self) -> int:
-        """How many columns are signals."""
-        return max((part.stop for part, _ in self.setup.wanted.columns.signals.values()), default=0)
-
-    def _growth(self, moments: Moments, end: np.ndarray) -> np.ndarray:
-        """Return how fast the motion of each run still grows at its end [1/s]."""
-        ends = self.setup.wanted.rows.growth_ends
-        if ends[1] - ends[0] < 4:
-            return np.zeros(len(end))
-        parts = np.array([moments.between(*both) for both in pairwise(ends)])
-        sizes = parts[:, LARGEST] - parts[:, LEAST]  # (eighths, n_y, width)
-        seconds = (ends[1] - ends[0]) * self.setup.every / self.setup.n_steps * end
-        return np.array([growth_of(sizes[..., k], seconds[k]) for k in range(len(end))])
-
-    def _poles(self, p: np.ndarray, end: np.ndarray, x: np.ndarray) -> np.ndarray | None:
-        """Return d(dx/dt)/dx (n, n_x, n_x) by which runs are judged, None for sampled diagrams."""
-        model = self.setup.model
-        if model.n_z:
-            return None
-        if model.linear:
-            nothing = np.zeros((model.n_x, len(p)))
-            return np.asarray(jacobians(model)["A"](np.zeros((1, len(p))), nothing, np.zeros((0, len(p))), p.T))
-        with np.errstate(all="ignore"):
-            return np.array([mean_jacobian(model, *values) for values in zip(p, end, x, strict=True)])
+def _rms_errors(lanes: Lanes, first: int, last: int, before: np.ndarray) -> np.ndarray:
+    """Return the rms of the error of every column (n_y, width) in a stretch, as `validity` estimates it."""
+    change = lanes.repeat(before, first, last, 1) - lanes.repeat(before, first, last, 2)
+    return np.asarray(np.sqrt(np.square(change).mean(axis=0)) * 16 / 15)
 
 
 def joined(parts: Sequence[Outcome]) -> Outcome:

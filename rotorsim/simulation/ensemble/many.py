@@ -18,10 +18,11 @@ from rotorsim.jobs.jobs import Jobs, run_jobs
 from rotorsim.jobs.threads import one_thread
 from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.model.load import load
-from rotorsim.simulation.ensemble.batch import Outcome, Runner, Setup, Values, joined, recorded_columns
+from rotorsim.simulation.ensemble.batch import Outcome, Runner, Values, joined
 from rotorsim.simulation.ensemble.reductions import DEFAULT, Rows, Wanted
 from rotorsim.simulation.ensemble.result import Ensemble
 from rotorsim.simulation.ensemble.setup import Given, Varied, make_setup, varied_values
+from rotorsim.simulation.ensemble.shared import Setup, recorded_columns
 from rotorsim.simulation.run import provenance_of, without
 
 STEPS_OF_A_JOB = 1e8  # steps times states: about 1 s, what an interrupted ensemble loses
@@ -136,7 +137,7 @@ def _text(setup: Setup) -> str:
     """Return all that decides the runs of an ensemble but their own values, as JSON."""
     diagram, wanted = setup.model.diagram, setup.wanted
     loaded = {"folder": diagram.folder, "without": without(diagram), "trust_blocks": diagram.trusted}
-    shared = {key: getattr(setup, key) for key in ("names", "angle", "n_steps", "every", "method", "use_compiler")}
+    shared = {key: value for key, value in vars(setup).items() if key not in ("model", "wanted")}
     kept = {"kinds": wanted.kinds, "rows": [wanted.rows.n, *wanted.rows.window], "points": wanted.points}
     kept |= {"watched": [*wanted.columns.signals]}
     return json.dumps({"document": diagram.document, "load": loaded, "setup": shared, "wanted": kept}, default=str)

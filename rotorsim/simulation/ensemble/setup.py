@@ -13,8 +13,8 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import Model
 from rotorsim.model.input_limits import input_limits
-from rotorsim.simulation.ensemble.batch import Setup, recorded_columns
 from rotorsim.simulation.ensemble.reductions import OF_TURNS, ROWS_A_TURN, Rows, Wanted, chosen_reductions
+from rotorsim.simulation.ensemble.shared import Setup, recorded_columns
 from rotorsim.simulation.run import LARGEST_RECORD, check_times
 
 WINDOW_ROWS = 8  # rows
@@ -139,7 +139,7 @@ def make_setup(model: Model, varied: Varied, given: Given) -> tuple[Setup, np.nd
     wanted = Wanted(kinds, rows, columns, names, points)
     _refuse_size(wanted, varied.n)
     method = (given.method or solver.method).lower()
-    return Setup(model, names, angle, n_steps, every, method, wanted, given.use_compiler), steps
+    return Setup(model, names, angle, n_steps, every, method, wanted, given.use_compiler, bool(limits)), steps
 
 
 def _steps(model: Model, varied: Varied, given: Given, theta: str, every: int) -> tuple[int, np.ndarray, float, float]:
