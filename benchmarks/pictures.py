@@ -38,6 +38,17 @@ TWO_SETS = (
     '--gains "controller.KP=12200" --gains "controller.KP=9000, controller.KD=4.5"'
 )
 
+SWEPT = {
+    "map": 'sweep jeffcott --vary "speed=600 rpm:60 rpm:3000 rpm" --vary "controller.KP=0:2000:40000" --stop "2 s" '
+    "--reduce radius --show rotor.displacement --plot map.png",
+    "band": 'sweep jeffcott --vary "speed=1500 rpm:75 rpm:3000 rpm" --vary "rotor.mass=normal(2 kg, 3 %)" '
+    '--vary "eccentricity=normal(24 um, 10 %)" --stop "2 s" --reduce radius --plot band.png',
+    "bifurcation": 'sweep jeffcott_rub --vary "speed=5000 rpm:10 rpm:11000 rpm" --turns 200 --window 100:200 '
+    '--figure bifurcation --show "rotor.displacement[1]" --plot bifurcation.png',
+    "cascade": 'sweep jeffcott_rub --vary "speed=5000 rpm:200 rpm:11000 rpm" --stop "2 s" --step "25 us" '
+    '--window "1 s:2 s" --figure cascade --plot cascade.png',
+}
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -64,6 +75,10 @@ PICTURES = {
     "harmonics.png": Picture(
         ('periodic jeffcott --speeds "900 rpm:100 rpm:8000 rpm" --plot harmonics.png',), "harmonics.png"
     ),
+    "sweep_map.png": Picture((SWEPT["map"],), "map.png"),
+    "sweep_band.png": Picture((SWEPT["band"],), "band.png"),
+    "bifurcation.png": Picture((SWEPT["bifurcation"],), "bifurcation.png"),
+    "cascade.png": Picture((SWEPT["cascade"],), "cascade.png"),
     "spectrum.png": Picture(
         (
             'record jeffcott --speeds "1200 rpm, 1500 rpm" --noise "1 %" --out measured',

@@ -21,6 +21,7 @@ PAGES = [
     "docs/diagrams.md",
     "docs/identification.md",
     "docs/recordings.md",
+    "docs/sweeps.md",
     "docs/thesis.md",
 ]
 LONG = {
@@ -29,6 +30,7 @@ LONG = {
     "docs/diagrams.md",
     "docs/recordings.md",
     "docs/identification.md",
+    "docs/sweeps.md",
     "docs/thesis.md",
 }
 MEASURED = ROOT.parent / "shared" / "recordings"

@@ -274,7 +274,8 @@ def cascade_figure(ensemble: Ensemble, signal: str = "", of: str = "", over: str
     for sign in (-1, 1) if np.isfinite(turning).any() else ():
         axes.plot(sign * turning, x[order], color=RED, lw=0.7, ls="--", label="1X" if sign > 0 else None, zorder=3)
     value, unit = display(largest, ensemble.units.get(base, ""))
-    axes.plot([], [], color=BLUE, lw=0.7, label=f"amplitude, 0-peak; 6 steps of {name} are {float(value):.3g} {unit}")
+    height = f"{6 * gap:.4g} {label.rpartition('[')[2].rstrip(']')}" if "[" in label else f"{6 * gap:.4g}"
+    axes.plot([], [], color=BLUE, lw=0.7, label=f"amplitude, 0-peak: {float(value):.3g} {unit} are as high as {height}")
     axes.set(xlim=(-limit, limit), xlabel="frequency [Hz], backward < 0 < forward", ylabel=label)
     legend_below(made, axes)
     return made

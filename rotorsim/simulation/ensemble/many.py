@@ -7,6 +7,7 @@ import hashlib
 import json
 import time as clock
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,7 @@ def simulate_many(
     angle: str | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
+    jobs: Jobs | None = None,
     store: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
     use_compiler: bool = True,
@@ -61,14 +63,14 @@ def simulate_many(
     any run. reduce: kinds of `KINDS`, "harmonics=3" with a number. window: (from, to) [s], or in turns with ``turns``;
     default: the second half. initial: x (n_x,) or (n, n_x). angle: signal of the shaft angle (default: that of the
     only clock). scheduler, workers, store, progress: as in `rotorsim.jobs.jobs.run_jobs`; with a store an interrupted
-    ensemble resumes.
+    ensemble resumes. jobs: instead of scheduler and workers, processes that are kept (`local_workers`).
 
     Every run is what `simulate` gives for it, to the last bit, on whatever lane, worker or cluster. A run that diverges
     or is unstable is reported in ``status`` and ``message`` and stops no other. Raises RotorsimError for wrong
     arguments, and for what changes the equations (options, wires).
     """
     begun = clock.process_time()
-    how = Jobs(workers, scheduler, progress)
+    how = Jobs(workers, scheduler, progress) if jobs is None else replace(jobs, progress=progress)
     model = model_for_runs(diagram)
     varied = varied_values(model, parameters or {}, initial)
     given = Given(stop, step, turns, reduce, window, record, record_every, method, angle, use_compiler)
@@ -78,7 +80,8 @@ def simulate_many(
     _keep(text, runner)
     starts = None if initial is None else np.broadcast_to(np.asarray(initial, float), (varied.n, model.n_x))
     work = setup.n_steps * max(model.n_x, 1)
-    if store is None and scheduler is None and work * varied.n <= STEPS_HERE:
+    here = STEPS_OF_A_JOB if how.pool else STEPS_HERE
+    if store is None and how.scheduler in (None, "synchronous") and work * varied.n <= here:
         with one_thread():
             outcome = runner.run(_runs(_argument(varied, steps, starts, slice(None))), progress)
     else:
