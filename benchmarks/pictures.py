@@ -43,9 +43,9 @@ SWEPT = {
     "--reduce radius --show rotor.displacement --plot map.png",
     "band": 'sweep jeffcott --vary "speed=1500 rpm:75 rpm:3000 rpm" --vary "rotor.mass=normal(2 kg, 3 %)" '
     '--vary "eccentricity=normal(24 um, 10 %)" --stop "2 s" --reduce radius --plot band.png',
-    "bifurcation": 'sweep jeffcott_rub --vary "speed=5000 rpm:10 rpm:11000 rpm" --turns 200 --window 100:200 '
+    "bifurcation": 'sweep jeffcott_rub --vary "speed=5000 rpm:10 rpm:11000 rpm" --turns 200 --window 150:200 '
     '--figure bifurcation --show "rotor.displacement[1]" --plot bifurcation.png',
-    "cascade": 'sweep jeffcott_rub --vary "speed=5000 rpm:200 rpm:11000 rpm" --stop "2 s" --step "25 us" '
+    "cascade": 'sweep jeffcott_rub --vary "speed=5000 rpm:400 rpm:11000 rpm" --stop "2 s" --step "25 us" '
     '--window "1 s:2 s" --figure cascade --plot cascade.png',
 }
 

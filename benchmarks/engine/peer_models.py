@@ -1,8 +1,9 @@
 """The cracked Jeffcott rotor in PathSim, bdsim and jaxonomy, from blocks of each.
 
 Run by ``benchmarks.engine.peers`` with the Python of the environment that holds the peer; imports nothing of
-this project: ``python peer_models.py PEER STEPS`` prints one line of JSON. The equations are those of
-``baselines/jeffcott.c``; seven or eight blocks, vector signals (x, y) where the peer has them.
+this project: ``python peer_models.py PEER STEPS [RUNS]`` prints one line of JSON; RUNS: so many runs with other gains
+K_P, instead of one. The equations are those of ``baselines/jeffcott.c``; seven or eight blocks, vector signals (x, y)
+where the peer has them.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 MASS, STIFFNESS, DAMPING = 2.0, 7.6e5, 76.0
 CRACK, SAG, ECCENTRICITY, PHASE = 3e5, 2.6e-5, 24e-6, math.radians(30)
 KS, KI, KP, INTEGRAL, KD = 105210.0, 42.1, 12200.0, 2000.0, 3.0
+GAINS = 9000.0, 16000.0  # K_P of the first and the last run of an ensemble
 SPEED = 1500 * 2 * math.pi / 60
 STEP = 1e-4
 
@@ -41,7 +43,7 @@ def timed(run):
     return time.process_time() - cpu, time.perf_counter() - wall
 
 
-def pathsim(steps):
+def pathsim(steps, gain=KP):
     """Run in PathSim with RK4 of fixed step: clock, crack, unbalance, controller, AMB, rotor, integral."""
     from pathsim import Connection, Simulation
     from pathsim.blocks import ODE, Function, Integrator, Scope, Source
@@ -51,7 +53,7 @@ def pathsim(steps):
     crack_block, unbalance_block = Function(crack), Function(unbalance)
 
     def current(ux, uy, vx, vy, zx, zy):
-        return KP * ux + INTEGRAL * zx + KD * vx, KP * uy + INTEGRAL * zy + KD * vy
+        return gain * ux + INTEGRAL * zx + KD * vx, gain * uy + INTEGRAL * zy + KD * vy
 
     def magnet(ux, uy, ix, iy):
         return KS * ux - KI * ix, KS * uy - KI * iy
@@ -118,24 +120,52 @@ def bdsim(steps):
     return cpu, wall, 8, "RK45, adaptive (default tolerances; it has no fixed step)", [float(last[0]), float(last[1])]
 
 
-def jaxonomy(steps):
+def pathsim_many(steps, runs):
+    """Run one after another in PathSim, which has no ensembles."""
+    done = [pathsim(steps, gain) for gain in np.linspace(*GAINS, runs)]
+    cpu, wall = (sum(one[k] for one in done) for k in (0, 1))
+    return cpu, wall, 7, "one after another, RK4, fixed step", done[-1][-1]
+
+
+def scipy_many(steps, runs):
+    """Run all together in SciPy's solve_ivp, NumPy arrays over the runs as one large system."""
+    from scipy.integrate import solve_ivp
+
+    gain = np.linspace(*GAINS, runs)[:, None]
+
+    def equations(t, flat):
+        z, u, v = flat.reshape(3, runs, 2)
+        current = gain * u + INTEGRAL * z + KD * v
+        force = np.array(crack(SPEED * t)) + np.array(unbalance(SPEED * t)) + KS * u - KI * current
+        return np.concatenate([u, v, (force - STIFFNESS * u - DAMPING * v) / MASS]).ravel()
+
+    found, at = [], np.arange(steps + 1) * STEP
+    options = {"method": "DOP853", "t_eval": at, "rtol": 1e-8, "atol": 1e-12}
+    cpu, wall = timed(lambda: found.append(solve_ivp(equations, (0.0, at[-1]), np.zeros(6 * runs), **options)))
+    last = found[0].y[:, -1].reshape(3, runs, 2)[1, -1]
+    return cpu, wall, "", "DOP853, all runs one system, rtol 1e-8", [float(last[0]), float(last[1])]
+
+
+def jaxonomy(steps, runs=0):
     """Run in jaxonomy with rk4 of fixed step; the second call is timed, the first one compiles."""
     import jax.numpy as jnp
     import jaxonomy as package
-    from jaxonomy.library import Integrator, ReduceBlock, SourceBlock
+    from jaxonomy.library import Gain, Integrator, ReduceBlock, SourceBlock
 
     builder = package.DiagramBuilder()
     add, connect = builder.add, builder.connect
     crack_block = add(SourceBlock(lambda t: jnp.stack(crack(SPEED * t, jnp)), name="crack"))
     unbalance_block = add(SourceBlock(lambda t: jnp.stack(unbalance(SPEED * t, jnp)), name="unbalance"))
-    controller = add(ReduceBlock(3, lambda i: KP * i[0] + KD * i[1] + INTEGRAL * i[2], name="controller"))
+    proportional = add(Gain(KP, name="proportional"))
+    controller = add(ReduceBlock(3, lambda i: i[0] + KD * i[1] + INTEGRAL * i[2], name="controller"))
     amb = add(ReduceBlock(2, lambda i: KS * i[0] - KI * i[1], name="amb"))
     rotor = add(ReduceBlock(5, lambda i: (i[0] + i[1] + i[2] - STIFFNESS * i[3] - DAMPING * i[4]) / MASS, name="rotor"))
     velocity = add(Integrator(jnp.zeros(2), name="velocity"))
     displacement = add(Integrator(jnp.zeros(2), name="displacement"))
     integral = add(Integrator(jnp.zeros(2), name="integral"))
     wires = [
-        (displacement, controller, 0),
+        (displacement, proportional, 0),
+        (proportional, controller, 0),
         (velocity, controller, 1),
         (integral, controller, 2),
         (displacement, amb, 0),
@@ -164,23 +194,36 @@ def jaxonomy(steps):
     recorded = {"displacement": displacement.output_ports[0], "current": controller.output_ports[0]}
     found = []
 
+    span, gains = (0.0, steps * STEP), {"proportional.gain": jnp.linspace(*GAINS, runs)}
+
     def run():
-        found.append(
-            package.simulate(diagram, context, (0.0, steps * STEP), options=options, recorded_signals=recorded)
-        )
+        if runs:
+            given = {"options": options, "recorded_signals": recorded, "use_vmap": True}
+            found.append(package.simulate_batch(diagram, span, gains, **given))
+        else:
+            found.append(package.simulate(diagram, context, span, options=options, recorded_signals=recorded))
 
     first = timed(run)
     cpu, wall = timed(run)
-    last = np.asarray(found[-1].outputs["displacement"])[-1]
-    note = f"rk4, fixed step; first call {first[1]:.1f} s with compiling"
-    return cpu, wall, 8, note, [float(last[0]), float(last[1])]
+    last = np.asarray(found[-1].outputs["displacement"])
+    last = last[-1, -1] if runs else last[-1]
+    how = "simulate_batch with vmap, rk4" if runs else "rk4"
+    note = f"{how}, fixed step; first call {first[1]:.1f} s with compiling"
+    return cpu, wall, 9, note, [float(last[0]), float(last[1])]
+
+
+def jaxonomy_many(steps, runs):
+    """Run in jaxonomy's simulate_batch over all runs at once."""
+    return jaxonomy(steps, runs)
 
 
 def main():
     """Run one peer and print what it took."""
-    name, steps = sys.argv[1], int(sys.argv[2])
+    name, *numbers = sys.argv[1], *map(int, sys.argv[2:])
+    steps, many = numbers[0], {"pathsim": pathsim_many, "scipy": scipy_many, "jaxonomy": jaxonomy_many}
     try:
-        cpu, wall, blocks, note, last = {"pathsim": pathsim, "bdsim": bdsim, "jaxonomy": jaxonomy}[name](steps)
+        run = (many if numbers[1:] else {"pathsim": pathsim, "bdsim": bdsim, "jaxonomy": jaxonomy})[name]
+        cpu, wall, blocks, note, last = run(*numbers)
     except Exception as error:  # a peer that fails is a row of the table, not an end of it
         print(json.dumps({"peer": name, "error": f"{type(error).__name__}: {error}"[:300]}))
         return

@@ -16,21 +16,33 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.engine import baselines
 from benchmarks.harness import ROOT, medians
+from rotorsim.simulation.ensemble.many import simulate_many
+from rotorsim.simulation.ensemble.result import Ensemble
+from rotorsim.simulation.run import simulate
 from tests.systems import shipped
 
 STEPS = 50_000
 PEERS = {"jaxonomy": 50_000, "pathsim": 5_000, "bdsim": 5_000}
-PUBLIC = {"jaxonomy": "jaxonomy", "pathsim": "PathSim", "bdsim": "bdsim"}
+PUBLIC = {"jaxonomy": "jaxonomy", "pathsim": "PathSim", "bdsim": "bdsim", "scipy": "SciPy"}
+ENSEMBLES = {"jaxonomy": (5_000, 64), "scipy": (5_000, 64), "pathsim": (1_000, 4)}  # steps and runs
+GAINS = 9000.0, 16000.0  # K_P, as in peer_models.py
 
 
-def run_peer(python: str, name: str, steps: int) -> dict[str, Any]:
+def run_peer(python: str, name: str, *numbers: int) -> dict[str, Any]:
     """Return what ``peer_models.py`` prints for one peer, or {"error": why}."""
     script = Path(__file__).with_name("peer_models.py")
     try:
         done = subprocess.run(
-            [python, str(script), name, str(steps)], capture_output=True, text=True, timeout=900, cwd=ROOT, check=False
+            [python, str(script), name, *map(str, numbers)],
+            capture_output=True,
+            text=True,
+            timeout=900,
+            cwd=ROOT,
+            check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return {"error": f"{type(error).__name__}: {error}"[:200]}
@@ -83,7 +95,39 @@ def measure(python: str, repeats: int = 3) -> list[dict[str, Any]]:
     return rows
 
 
-def page(rows: list[dict[str, Any]]) -> str:
+def measure_ensembles(python: str, repeats: int = 3) -> list[dict[str, Any]]:
+    """Return one row per program: CPU time of a run of an ensemble over gains, beside a run of plain C."""
+    model, runs = shipped.shipped("jeffcott"), 64
+    gains = {"controller.KP": np.linspace(*GAINS, runs)}
+    options: dict[str, Any] = {"stop": 5.0, "record": ["rotor.displacement", "controller.current"]}
+    kept: list[Ensemble] = []
+    actions = {
+        "plain C": baselines.jeffcott(STEPS, 1e-4),
+        "sums": lambda: kept.append(simulate_many(model, gains, scheduler="synchronous", **options)),
+    }
+    times = medians(actions, 5)
+    unit = times["plain C"] / STEPS
+    path = str(kept[0].provenance["path"]).partition(",")[0]
+    note = f"{path}, RK4, fixed step, every run judged; peak and rms kept"
+    rows = [
+        {"name": "rotorsim, simulate_many", "runs": runs, "ratio": times["sums"] / runs / STEPS / unit, "note": note}
+    ]
+    for peer, (steps, count) in ENSEMBLES.items():
+        found = [run_peer(python, peer, steps, count) for _ in range(repeats)]
+        bad = next((f["error"] for f in found if "error" in f), None)
+        if bad is not None:
+            rows.append({"name": PUBLIC[peer], "runs": count, "ratio": None, "note": f"did not run: {bad}"})
+            continue
+        cpu, wall = (statistics.median(f[key] for f in found) / count / steps / unit for key in ("cpu", "wall"))
+        alone = simulate(model, parameters={"controller.KP": GAINS[1]}, stop=steps * 1e-4)["rotor.displacement"]
+        off = float(np.abs(alone[-1] - found[0]["last"]).max() / np.abs(alone).max())
+        note = f"{found[0]['note']}; last point within {off:.0e} of the peak of rotorsim"
+        note += f"; {wall:.3g} by wall time" if wall < 0.9 * cpu else ""
+        rows.append({"name": f"{PUBLIC[peer]} {found[0]['version']}", "runs": count, "ratio": cpu, "note": note})
+    return rows
+
+
+def page(rows: list[dict[str, Any]], ensembles: list[dict[str, Any]]) -> str:
     """Return the page of docs."""
     text = [
         "# Speed beside other block-diagram tools",
@@ -105,6 +149,16 @@ def page(rows: list[dict[str, Any]]) -> str:
         text.append(f"| {row['name']} | {row['blocks']} | {ratio} | {row['note']} |")
     text += [
         "",
+        "The same rotor with many gains K_P, 9000 to 16 000 A/m: CPU time of one run and step, beside plain C.",
+        "",
+        "| program | runs | CPU time, plain C = 1 | |",
+        "|---|---|---|---|",
+    ]
+    for row in sorted(ensembles, key=lambda r: (r["ratio"] is None, r["ratio"] or 0.0)):
+        ratio = "-" if row["ratio"] is None else f"{row['ratio']:.3g}"
+        text.append(f"| {row['name']} | {row['runs']} | {ratio} | {row['note']} |")
+    text += [
+        "",
         "The models are in [peer_models.py](../benchmarks/engine/peer_models.py). Peers are no part of CI.",
         "",
     ]
@@ -117,7 +171,7 @@ def main() -> None:
     parser.add_argument("--python", default=sys.executable, help="Python of the environment that has the peers")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "peers.md")
     given = parser.parse_args()
-    text = page(measure(given.python))
+    text = page(measure(given.python), measure_ensembles(given.python))
     given.out.write_text(text, encoding="utf-8")
     print(text)
 

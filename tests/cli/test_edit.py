@@ -272,7 +272,8 @@ def test_new_copies_a_shipped_diagram_under_its_name(run) -> None:
     done = run("new", "mine.json", "--from", "jeffcot")
     assert done.exit_code == 2
     assert done.stderr == (
-        "error: --from jeffcot: no diagram of this name\n\nhint: did you mean 'jeffcott' or 'jeffcott_runup'?\n\n"
+        "error: --from jeffcot: no diagram of this name\n\nhint: did you mean 'jeffcott' or 'jeffcott_rub' or "
+        "'jeffcott_runup'?\n\n"
         "mine.json: error: is there already\n\nhint: choose another name, or delete the file\n"
     )
 

@@ -233,7 +233,7 @@ def bifurcation_figure(ensemble: Ensemble, signal: str = "", of: str = "", over:
     x, label = _axis(ensemble, name)
     points, unit = display(_part(ensemble["poincare", base], 2, index), ensemble.units.get(base, ""))
     places = list(np.ndindex(points.shape[2:]))
-    made = figure(8.5, 1.2 + 3.2 * len(places), _title(ensemble, f"one point a turn over {name}"))
+    made = figure(7.0, 1.2 + 2.6 * len(places), _title(ensemble, f"one point a turn over {name}"))
     for k, place in enumerate(places):
         axes = made.add_subplot(len(places), 1, k + 1)
         values = np.where(ensemble.finished[:, None], _part(points, 2, place), np.nan)
@@ -263,7 +263,7 @@ def cascade_figure(ensemble: Ensemble, signal: str = "", of: str = "", over: str
     spectra = [_full_spectrum(ensemble, rows[k], int(k)) for k in order]
     largest = max(float(size.max()) for _, size in spectra)
     gap = float(np.ptp(x[order])) / max(len(order) - 1, 1) or 1.0
-    made = figure(8.5, 7.0, _title(ensemble, f"full spectra of {flat_name(base, index)} over {name}"))
+    made = figure(7.0, 5.6, _title(ensemble, f"full spectra of {flat_name(base, index)} over {name}"))
     axes = made.add_subplot()
     for k, (frequency, size) in zip(order[::-1], spectra[::-1], strict=True):
         lifted = x[k] + 6 * gap * size / largest
