@@ -26,8 +26,8 @@ from rotorsim.simulation.ensemble.setup import Given, Varied, make_setup, varied
 from rotorsim.simulation.ensemble.shared import Setup, recorded_columns
 from rotorsim.simulation.run import provenance_of, without
 
-STEPS_OF_A_JOB = 1e8  # steps times states: about 1 s, what an interrupted ensemble loses
-STEPS_HERE = 3 * STEPS_OF_A_JOB  # in this process: others take as long to start
+STEPS_OF_A_JOB = 2.5e7  # steps times states: about 0.2 s, what an interrupted ensemble loses of each worker
+STEPS_HERE = 3e8  # in this process: others take as long to start
 GROUP = 8  # runs of a job are whole groups of so many, whatever the lanes of this processor
 MOST_GROUPS = 32
 _RUNNERS: dict[str, Runner] = {}  # of this process, by what decides them; the last few
