@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,7 @@ from rotorsim.cli.shared import (
     file_option,
     jobs_options,
     json_option,
+    known_names,
     listed,
     note,
     plot_option,
@@ -73,7 +74,7 @@ class Drawn:
     "envelope=200, history.",
 )
 @click.option("--record", multiple=True, metavar="SIGNAL", help="Signals (default: those of the diagram); repeatable.")
-@click.option("--angle", metavar="SIGNAL", help="Shaft angle of harmonics and turns (default: of the only clock).")
+@click.option("--angle", metavar="SIGNAL", help="Shaft angle of harmonics and turns (default: of the clock).")
 @solver_option("Method; rk4 runs side by side, others one by one.")
 @click.option("--store", metavar="FILE", help="Keep every run here; an interrupted sweep resumes from it.")
 @jobs_options
@@ -123,6 +124,7 @@ def command(
     rotorsim sweep jeffcott --vary "speed=600 rpm:20 rpm:3000 rpm" --vary "controller.KP=9e3:1e3:3e4" --plot map.png
     rotorsim sweep jeffcott --vary "speed=600 rpm:50 rpm:3000 rpm" --vary "rotor.mass=normal(4 kg, 5 %)" --plot band.png
     """
+    of = of.strip()
     for name, given in {"--figure": figure, "--show": signal, "--of": of, "--over": over}.items():
         refuse_if(given and not plot, f"{name} needs --plot FILE")
     refuse_if(stop and turns is not None, "--stop and --turns exclude each other", hint="give one of them")
@@ -142,6 +144,8 @@ def command(
     part = None if window is None else window_of_run(window, "s" if turns is None else "turns")
     loaded = chosen.open()
     varied = variations(vary, loaded, draws, seed)
+    recorded = [*record] or _recorded(loaded, wanted)
+    _check_figure(Drawn(plot, figure or "", signal, of, over), chosen_reductions(wanted), recorded, [*varied.runs])
     with progress_bar(loaded.name, progress) as bar:
         ensemble = simulate_many(
             loaded,
@@ -151,7 +155,7 @@ def command(
             turns=turns,
             reduce=wanted,
             window=part,
-            record=record or _recorded(loaded, wanted),
+            record=recorded,
             method=solver,
             angle=angle,
             scheduler=scheduler,
@@ -164,10 +168,22 @@ def command(
     if out:
         save_ensemble(ensemble, out)
         note(f"written: {out}")
+    code = _report(ensemble, files, as_json)
     banded = "band" if varied.drawn and not set(NEEDED.values()) & set(ensemble.values) else ""
     drawn = Drawn(plot, figure or banded, signal, of, over or next(iter(varied.grid), ""))
     save_plot(lambda: ensemble.plot(drawn.figure, drawn.signal, drawn.of, drawn.over), drawn.plot)
-    return _report(ensemble, files, as_json)
+    return code
+
+
+def _check_figure(drawn: Drawn, kinds: Mapping[str, int], recorded: Sequence[str], varied: Sequence[str]) -> None:
+    """Refuse names that no figure of the runs will have, before they are run."""
+    bases = [name.partition("[")[0] for name in recorded]
+    if drawn.signal and drawn.signal.partition("[")[0] not in bases:
+        known_names([drawn.signal], recorded, lambda name: f"--show {name}: this signal is not recorded")
+    if drawn.of:
+        known_names([drawn.of], kinds, lambda name: f"--of {name}: not kept (--reduce {name})")
+    if drawn.over:
+        known_names([drawn.over], varied, lambda name: f"--over {name}: nothing varies it")
 
 
 def _recorded(diagram: Diagram, wanted: Sequence[str]) -> list[str]:
@@ -178,10 +194,10 @@ def _recorded(diagram: Diagram, wanted: Sequence[str]) -> list[str]:
 
 def _report(ensemble: Ensemble, files: list[str], as_json: bool) -> int:
     """Say what was run and how it ended; print the table, or all rows as JSON; return the exit code."""
-    from rotorsim.report.text.ensemble import ensemble_data, ensemble_line, ensemble_table, not_finished
+    from rotorsim.report.text.ensemble import ensemble_data, ensemble_line, ensemble_table, not_finished, remarks
 
     note(ensemble_line(ensemble))
     show(as_json, lambda: ensemble_data(ensemble) | {"files": files}, lambda: ensemble_table(ensemble))
     said = [Problem(what, subject, hint=hint) for subject, what, hint in not_finished(ensemble)]
-    show_problems(said)
+    show_problems([*said, *(Problem(what, subject, severity="warning") for subject, what in remarks(ensemble))])
     return 1 if said else 0

@@ -39,8 +39,9 @@ class Reduction:
 class Reduced:
     """What was kept, of n runs: moments (segments, 4, n_y, n), least, largest, sum, sum of squares of each segment;
     sums (2, 2 orders + 1, n) of cosines and sines of multiples of the angle, products (2, orders + 1, n_y, n) of those
-    with the columns; points (n, n_points, n_y) and how many were found (n,); history (rows, n_y, n) or None; last
-    recorded row (n_y, n).
+    with the columns; points (n, n_points, n_y) and how many were found (n,), more than n_points where these had no
+    room; history (rows, n_y, n) or None; last recorded row (n_y, n); steepest (n,): what the angle goes at most between
+    two rows of the window, where points are kept.
     """
 
     moments: np.ndarray
@@ -50,6 +51,7 @@ class Reduced:
     found: np.ndarray
     history: np.ndarray | None
     last: np.ndarray
+    steepest: np.ndarray
 
     def part(self, runs: slice) -> Reduced:
         """Return some of the runs."""
@@ -61,6 +63,7 @@ class Reduced:
             self.found[runs],
             None if self.history is None else self.history[..., runs],
             self.last[..., runs],
+            self.steepest[runs],
         )
 
     @staticmethod
@@ -79,7 +82,7 @@ class _CReduction(ctypes.Structure):
         *((name, ctypes.c_int64) for name in ("first", "last", "n_orders", "cosine", "sine")),
         *((name, ctypes.c_void_p) for name in ("sums", "products")),
         *((name, ctypes.c_int64) for name in ("angle", "n_points")),
-        *((name, ctypes.c_void_p) for name in ("points", "found", "recent", "history", "latest")),
+        *((name, ctypes.c_void_p) for name in ("points", "found", "recent", "history", "latest", "steepest")),
     ]
 
 
@@ -191,16 +194,17 @@ class Lanes:
             np.zeros(width, np.int64),
             array(last - first, n_y) if wanted.history else None,
             array(n_y),
+            array(),
         )
-        self._ends = np.ascontiguousarray(wanted.ends, np.int64)
-        self._recent = array(4 * n_y + 2)
+        ends, recent = np.ascontiguousarray(wanted.ends, np.int64), array(4 * n_y + 2)
         kept = _CReduction()
-        kept.n_segments, kept.end, kept.moments = len(self._ends), self._ends.ctypes.data, out.moments.ctypes.data
+        kept.n_segments, kept.end, kept.moments = len(ends), ends.ctypes.data, out.moments.ctypes.data
         kept.first, kept.last, kept.n_orders = first, last, wanted.orders
         kept.cosine, kept.sine, kept.angle = wanted.angle
         kept.sums, kept.products = out.sums.ctypes.data, out.products.ctypes.data
         kept.n_points, kept.points, kept.found = wanted.n_points, out.points.ctypes.data, out.found.ctypes.data
-        kept.recent = self._recent.ctypes.data
+        kept.recent = recent.ctypes.data
+        kept.room = ends, recent  # which nobody else holds
         kept.history = None if out.history is None else out.history.ctypes.data
-        kept.latest = out.last.ctypes.data
+        kept.latest, kept.steepest = out.last.ctypes.data, out.steepest.ctypes.data
         return kept, out

@@ -120,9 +120,9 @@ def simulate(
     if verdict.status == "finished":
         if verdict.error is not None:
             counters["step_error"] = verdict.error
-        too_far = passed_limit(limits, time, signals)
-        if too_far:
-            verdict = Verdict("diverged", too_far)
+        broken = passed_limit(limits, time, signals) or _no_number(time, signals)
+        if broken:
+            verdict = Verdict("diverged", broken)
         elif not verdict.message and chosen != "rk4":
             verdict = Verdict(message=loose_tolerance(model, signals, solver.atol))
         counters["check_cpu_seconds"] = clock.process_time() - ran
@@ -141,6 +141,20 @@ def simulate(
         {**provenance_of(model, p), "method": chosen, "step": h, "path": instance.path},
         verdict.cause,
     )
+
+
+def _no_number(time: np.ndarray, signals: Mapping[str, np.ndarray]) -> str:
+    """Return which recorded signal is no number somewhere, though all states are, and since when; empty where none."""
+    for name, values in signals.items():
+        with np.errstate(all="ignore"):
+            finite = np.isfinite(values.reshape(len(time), -1).sum(axis=1))  # one pass over many rows
+        if not finite.all():
+            finite = np.isfinite(values.reshape(len(time), -1)).all(axis=1)
+        if not finite.all():
+            first = float(time[int(np.argmin(finite))])
+            rows = f"{int((~finite).sum())} of {len(time)} rows"
+            return f"'{name}' is not a finite number in {rows}, first at t = {first:.6g} s"
+    return ""
 
 
 def provenance_of(model: Model, p: np.ndarray) -> dict[str, Any]:

@@ -176,3 +176,35 @@ def test_a_range_includes_its_stop_where_whole_steps_reach_it() -> None:
     assert runs["speed"] == pytest.approx(np.arange(600, 6001, 10) * np.pi / 30)
     with pytest.raises(RotorsimError):
         variations(["speed=2:1:1"], load("jeffcott"), None, 1)
+
+
+@pytest.mark.parametrize("entry", ["[0]", "[9]", "[x]", "[]", "[1,1]", "[1"])
+def test_an_entry_that_is_none_is_said_after_the_table(run: Run, entry: str) -> None:
+    found = run(
+        "sweep", "jeffcott", "--vary", "speed=90, 99", *SHORT, "--plot", "a.png", "--show", f"rotor.displacement{entry}"
+    )
+    assert found.exit_code == 2
+    assert (
+        f"error: rotor.displacement{entry}: no such entry; 'rotor.displacement' has shape 2, counted from 1"
+        in found.stderr
+    )
+    assert found.stdout.startswith("peak")
+    assert not Path("a.png").exists()
+
+
+def test_a_band_of_runs_none_of_which_finished(run: Run) -> None:
+    found = run(
+        "sweep", "jeffcott", "--vary", "controller.KP=normal(-1e9, 1 %)", "--draws", "5", *SHORT, "--plot", "a.png"
+    )
+    assert found.exit_code == 2
+    assert "5 of 5 runs diverged" in found.stderr
+    assert found.stderr.endswith("error: band: no run finished\n")
+
+
+def test_a_warning_of_runs_that_finished(run: Run) -> None:
+    found = run("sweep", "jeffcott", "--vary", "speed=100, 3000", "--stop", "0.2", "--step", "2 ms")
+    assert found.exit_code == 0
+    assert (
+        "warning: jeffcott: 2 of 2 runs finished with a warning; the first, speed = 954.93 rpm: the step 0.002 s is "
+        in found.stderr
+    )

@@ -66,7 +66,7 @@ def test_a_map_needs_a_grid_of_two(line: Ensemble, grid: Ensemble) -> None:
     part = Ensemble(
         {name: values[:-1] for name, values in grid.parameters.items()},
         {"peak": {SIGNAL: grid["peak", SIGNAL][:-1]}},
-        grid.status[:-1], grid.message[:-1], grid.step_error[:-1], grid.units,
+        grid.status[:-1], grid.message[:-1], grid.step_error[:-1], grid.units, grid.shapes,
         grid.window[:-1], grid.stop[:-1], grid.step[:-1],
     )  # fmt: skip
     with pytest.raises(RotorsimError, match="the runs are no grid of two parameters"):
@@ -118,7 +118,7 @@ def test_a_cascade_has_its_line_at_the_shaft_frequency() -> None:
     [
         (("pie",), "error: kind: no figure 'pie'"),
         (("curve", "rotor.velocity"), "error: rotor.velocity: no peak of this signal was kept"),
-        (("curve", "", "rms"), "error: of: no reduction 'rms' of one number was kept\n\nhint: one of peak, harmonics"),
+        (("curve", "", "rms"), "error: of: 'rms' of one number was not kept\n\nhint: one of peak, harmonics"),
         (("curve", "", "", "sped"), "error: over: no parameter 'sped' varies\n\nhint: did you mean 'speed'?"),
         (("bifurcation",), "error: poincare: this was not kept of the runs"),
         (("cascade",), "error: history: this was not kept of the runs"),

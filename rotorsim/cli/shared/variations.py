@@ -55,6 +55,7 @@ def variations(texts: Sequence[str], diagram: Diagram, draws: int | None, seed: 
     problems: list[Problem] = []
     generator = np.random.default_rng(seed)
     count = 100 if draws is None else draws
+    refuse_if(count > MOST_SWEPT, f"--draws {count}: at most {MOST_SWEPT}", hint="fewer draws")
     for text in texts:
         name, equals, values = (part.strip() for part in text.partition("="))
         if not equals or not name or not values:
@@ -116,7 +117,7 @@ def _variation(
         refuse_if(len(given) != 2, f"--vary {text}: {law[1]} takes two numbers, {len(given)} given", hint=FORMS)
         first = number(given[0])
         if law[1].lower() == "normal":
-            share = re.fullmatch(r"([-+.0-9eE]+)\s*%", given[1])
+            share = re.fullmatch(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*%", given[1])
             std = abs(first) * float(share[1]) / 100 if share else number(given[1])
             refuse_if(not std > 0, f"--vary {text}: the standard deviation must be positive", hint=FORMS)
             return Variation(name, first + std * generator.standard_normal(count), True)

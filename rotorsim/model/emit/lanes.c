@@ -17,10 +17,11 @@ typedef struct {
   rs_lanes *products;                /* (2, n_orders + 1, NY): cosines, sines times columns */
   int64_t angle, n_points;           /* column of the angle [rad]; most points, 0 for none */
   double *points;                    /* (lanes, n_points, NY) */
-  int64_t *found;                    /* (lanes) */
+  int64_t *found;                    /* (lanes), those without room among them */
   rs_lanes *recent;                  /* (4, NY), row k at k % 4, and the turns of the last two rows */
   rs_lanes *history;                 /* (last - first, NY), or null */
   rs_lanes *latest;                  /* (NY): the last row */
+  rs_lanes *steepest;                /* what the angle goes at most from one row to the next, where points are kept */
 } rs_reduction;
 
 RS_EXPORT int64_t rs_size(void) { return RS_SIZE; }
@@ -143,9 +144,9 @@ static void rs_section(rs_reduction *r, rs_lanes before, rs_lanes after) {
   const rs_mask passed = before != after;
   if (!rs_any(passed)) return;
   for (int k = 0; k < RS_LANES; ++k) {
-    if (!passed[k] || r->found[k] >= r->n_points) continue;
+    if (!passed[k] || r->found[k]++ >= r->n_points) continue;
     const double at = 6.283185307179586 * (before[k] > after[k] ? before[k] : after[k]);
-    double weight[4], *point = r->points + (k * r->n_points + r->found[k]) * RS_NY;
+    double weight[4], *point = r->points + (k * r->n_points + r->found[k] - 1) * RS_NY;
     for (int i = 0; i < 4; ++i) {
       weight[i] = 1.0;
       const double here = r->recent[i * RS_NY + r->angle][k];
@@ -158,7 +159,6 @@ static void rs_section(rs_reduction *r, rs_lanes before, rs_lanes after) {
       point[y] = 0.0;
       for (int i = 0; i < 4; ++i) point[y] += weight[i] * r->recent[i * RS_NY + y][k];
     }
-    r->found[k] += 1;
   }
 }
 
@@ -166,6 +166,10 @@ static void rs_section(rs_reduction *r, rs_lanes before, rs_lanes after) {
 static void rs_passed(rs_reduction *r, int64_t n, const rs_lanes *row) {
   rs_lanes *turn = r->recent + 4 * RS_NY;
   if (row) {
+    if (n > r->first) {
+      const rs_lanes by = rs_fabs(row[r->angle] - r->recent[((n - 1) & 3) * RS_NY + r->angle]);
+      *r->steepest = rs_either(*r->steepest > by, *r->steepest, by);
+    }
     memcpy(r->recent + (n & 3) * RS_NY, row, RS_NY * sizeof(rs_lanes));
     if (n - r->first == 3) rs_section(r, rs_turns_of(r, r->recent + (r->first & 3) * RS_NY), turn[0]);
   }

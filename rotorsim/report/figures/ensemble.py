@@ -97,7 +97,8 @@ def _column(ensemble: Ensemble, of: str, signal: str) -> tuple[dict[str, np.ndar
     if of not in SCALARS or of not in ensemble.values:
         known = [kind for kind in SCALARS if kind in ensemble.values]
         hint = f"one of {', '.join(known)}" if known else f"keep one of {', '.join(SCALARS)}"
-        raise RotorsimError(Problem(f"no reduction '{of}' of one number was kept", "of", hint=hint))
+        what = f"'{of}' of one number was not kept" if of else "nothing that is one number of an entry was kept"
+        raise RotorsimError(Problem(what, "of", hint=hint))
     name, index = _entry(ensemble, of, signal)
     array = np.abs(ensemble[of, name][..., 1]) if of == "harmonics" else ensemble[of, name]
     array = _part(array, 1, index)
@@ -112,11 +113,19 @@ def _entry(ensemble: Ensemble, kind: str, signal: str) -> tuple[str, tuple[int, 
     if not signal:
         moving = [name for name in kept if not name.endswith((".theta", ".speed"))]
         signal = next(iter(moving or kept), "")
-    base, _, inside = signal.rstrip("]").partition("[")
+    base, bracket, inside = signal.partition("[")
     if signal in kept or base not in kept:
         ensemble[kind, signal]
         return signal, ()
-    return base, tuple(int(part) - 1 for part in inside.split(","))
+    shape = ensemble.shapes[base]
+    parts = inside.removesuffix("]").split(",") if bracket and inside.endswith("]") else []
+    index = tuple(int(part) - 1 if part.strip().isdecimal() else -1 for part in parts)
+    if not 0 < len(index) <= len(shape) or not all(0 <= i < n for i, n in zip(index, shape, strict=False)):
+        text = " x ".join(map(str, shape)) or "scalar"
+        raise RotorsimError(Problem(f"no such entry; '{base}' has shape {text}, counted from 1", signal))
+    if kind == "radius" and len(index) == len(shape):
+        raise RotorsimError(Problem("a radius is that of both axes", signal, hint=base))
+    return base, index
 
 
 def _part(values: np.ndarray, lead: int, index: tuple[int, ...]) -> np.ndarray:
@@ -218,7 +227,9 @@ def _band() -> str:
 
 
 def _draw_distribution(axes: Axes, values: np.ndarray, label: str) -> None:
-    """Draw how many runs have which value, with median and band."""
+    """Draw how many runs have which value, with median and band. Raises RotorsimError where there is none."""
+    if not len(values):
+        raise RotorsimError(Problem("no run finished", "band"))
     axes.hist(values, bins=min(max(len(values) // 10, 8), 60), color=BLUE, alpha=0.6)
     for share, style in ((BAND[0], ":"), (50.0, "-"), (BAND[1], ":")):
         name = "median" if share == 50.0 else _band()
@@ -261,7 +272,7 @@ def cascade_figure(ensemble: Ensemble, signal: str = "", of: str = "", over: str
         raise RotorsimError(Problem("no run finished", "cascade"))
     order = order[np.unique(np.round(np.linspace(0, len(order) - 1, min(len(order), MOST_SPECTRA))).astype(int))]
     spectra = [_full_spectrum(ensemble, rows[k], int(k)) for k in order]
-    largest = max(float(size.max()) for _, size in spectra)
+    largest = max(float(size.max()) for _, size in spectra) or 1.0
     gap = float(np.ptp(x[order])) / max(len(order) - 1, 1) or 1.0
     made = figure(7.0, 5.6, _title(ensemble, f"full spectra of {flat_name(base, index)} over {name}"))
     axes = made.add_subplot()

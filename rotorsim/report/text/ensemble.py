@@ -58,6 +58,17 @@ def not_finished(ensemble: Ensemble) -> list[tuple[str, str, str]]:
     return found
 
 
+def remarks(ensemble: Ensemble) -> list[tuple[str, str]]:
+    """Return subject and what is said of runs that finished: the same words once, of how many."""
+    name, said = str(ensemble.provenance.get("diagram", "")), []
+    there = [k for k in np.flatnonzero(ensemble.finished).tolist() if ensemble.message[k]]
+    if there:
+        at = ", ".join(_at(ensemble, key, there[0]) for key in ensemble.parameters)
+        what = f"{len(there)} of {counted(len(ensemble), 'run')} finished with a warning; the first, {at}: "
+        said.append((name, what + ensemble.message[there[0]]))
+    return said
+
+
 def _at(ensemble: Ensemble, name: str, run: int) -> str:
     values, unit = _shown(ensemble, name, ensemble.parameters[name][run])
     text = f"{values:.6g}" if np.ndim(values) == 0 else str(np.asarray(values).tolist())
@@ -84,7 +95,8 @@ def ensemble_table(ensemble: Ensemble) -> str:
             parts.append(table((title, "least", "median", "largest", "unit", "largest at"), rows))
     wide = [kind for kind in ensemble.values if kind not in COLUMNS]
     if wide:
-        parts.append(f"{', '.join(wide)}: in a file (--out FILE.h5) or a figure (--plot)")
+        drawn = " or a figure (--plot)" if wide != ["envelope"] else ""
+        parts.append(f"{', '.join(wide)}: in a file (--out FILE.h5){drawn}")
     return "\n\n".join(parts)
 
 

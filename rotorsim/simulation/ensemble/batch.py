@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -9,15 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from rotorsim.errors import RotorsimError
 from rotorsim.model.emit.toolchain import CompilerError, find_compiler, lane_width
 from rotorsim.model.lanes import LaneLibrary, Lanes
-from rotorsim.simulation.ensemble.reductions import reduce_rows
+from rotorsim.simulation.ensemble.reductions import TOO_STEEP, reduce_rows
 from rotorsim.simulation.ensemble.shared import Setup, recorded_columns
 from rotorsim.simulation.ensemble.verdicts import Reached, joined_runs, verdicts
 from rotorsim.simulation.result import Result
-from rotorsim.simulation.run import simulate
+from rotorsim.simulation.run import LARGEST_RECORD, simulate
 from rotorsim.simulation.validity import stretches_of
 
+REFUSED = "refused"  # a run whose values `simulate` refuses: at last the run is "stopped", or the ensemble is refused
 CHUNK = 20_000  # steps between two looks at Ctrl-C
 Progress = Callable[[float], None]
 
@@ -122,7 +125,7 @@ class Runner:
 
     def _alone(self, run: Values, progress: Progress | None = None) -> Outcome:
         """Simulate one run and reduce its rows."""
-        result = self._simulated(run, progress)
+        result = self._simulated(run, self.setup.every, progress)
         wanted, columns = self.setup.wanted, self.setup.wanted.columns
         rows = np.full((wanted.rows.n, columns.n), np.nan)
         if len(result.time) == wanted.rows.n:
@@ -135,25 +138,34 @@ class Runner:
                 rows[:, list(columns.angle)] = np.array([np.cos(theta), np.sin(theta), theta]).T
             rows[:, columns.residuals] = 0.0
         with np.errstate(invalid="ignore"):
-            values = wanted.values(reduce_rows(wanted, rows))
+            kept = reduce_rows(wanted, rows)
+            values = wanted.values(kept)
         error = np.array([result.counters.get("step_error", np.nan)])
-        return Outcome([result.status], [result.message], error, values, 1)
+        message = result.message or (TOO_STEEP if wanted.too_steep(kept)[0] else "")
+        return Outcome([result.status], [message], error, values, 1)
 
-    def _simulated(self, run: Values, progress: Progress | None = None) -> Result:
+    def _simulated(self, run: Values, every: int, progress: Progress | None = None) -> Result:
+        """Simulate one run; one that fails with an error has the status REFUSED, and no rows."""
         setup = self.setup
         angle = (setup.angle,) if setup.angle else ()
-        return simulate(
-            setup.model,
-            parameters=run.parameters,
-            stop=setup.n_steps * run.step,
-            step=run.step,
-            method=setup.method,
-            record=tuple(dict.fromkeys((*setup.wanted.columns.signals, *angle))),
-            record_every=setup.every,
-            initial=run.initial,
-            progress=progress or _silent,
-            use_compiler=setup.use_compiler,
-        )
+        try:
+            result = simulate(
+                setup.model,
+                parameters=run.parameters,
+                stop=setup.n_steps * run.step,
+                step=run.step,
+                method=setup.method,
+                record=tuple(dict.fromkeys((*setup.wanted.columns.signals, *angle))),
+                record_every=every,
+                initial=run.initial,
+                progress=progress or _silent,
+                use_compiler=setup.use_compiler,
+            )
+        except RotorsimError as error:
+            return Result(np.zeros(0), {}, {}, REFUSED, str(error).removeprefix("error: "))
+        if result.status == "stopped" and result.cause != "part":
+            raise KeyboardInterrupt
+        return result
 
     # -- side by side ----------------------------------------------------------------------------------------------
 
@@ -191,11 +203,13 @@ class Runner:
             values = self.setup.wanted.values(reached.kept)
             status, message, error = verdicts(self.setup, reached, p, steps)
         doubtful = [k for k in range(len(runs)) if not status[k]]
+        size = 8.0 * reached.errors.shape[1] * self.setup.wanted.rows.n
+        every = self.setup.every * math.ceil(2 * size / LARGEST_RECORD)  # their histories are not kept
         for k in doubtful:
-            result = self._simulated(runs[k])
+            result = self._simulated(runs[k], every)
             status[k], message[k] = result.status, result.message
             error[k] = result.counters.get("step_error", error[k])
-            if len(result.time) < self.setup.wanted.rows.n:
+            if result.counters.get("steps", 0) < self.setup.n_steps:  # it has not come to its end
                 for array in (array for of in values.values() for array in of.values()):
                     array[k] = np.nan
         return Outcome(status, message, error, values, len(doubtful))

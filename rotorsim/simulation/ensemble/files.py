@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ def save_ensemble(ensemble: Ensemble, path: str | Path) -> None:
             for name, array in arrays.items():
                 text = array.dtype.kind == "U"
                 kept = file.create_dataset(name, data=array.astype(object) if text else array, **_kind(text))
-                unit = ensemble.units.get(name.rpartition("/")[2])
+                unit = ensemble.units.get(re.sub(r"^(parameters|values/[a-z_]+)/", "", name))
                 if unit:
                     kept.attrs["unit"] = unit
 

@@ -12,14 +12,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.jobs import Jobs, run_jobs
 from rotorsim.jobs.threads import one_thread
 from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.model.load import load
-from rotorsim.simulation.ensemble.batch import Outcome, Runner, Values, joined
+from rotorsim.simulation.ensemble.batch import REFUSED, Outcome, Runner, Values, joined
 from rotorsim.simulation.ensemble.reductions import DEFAULT, Rows, Wanted
 from rotorsim.simulation.ensemble.result import Ensemble
 from rotorsim.simulation.ensemble.setup import Given, Varied, make_setup, varied_values
@@ -62,8 +64,8 @@ def simulate_many(
     every run takes, at its constant speed; its step is then the largest part of a turn that is not above ``step`` in
     any run. reduce: kinds of `KINDS`, "harmonics=3" with a number. window: (from, to) [s], or in turns with ``turns``;
     default: the second half. initial: x (n_x,) or (n, n_x). angle: signal of the shaft angle (default: that of the
-    only clock). scheduler, workers, store, progress: as in `rotorsim.jobs.jobs.run_jobs`; with a store an interrupted
-    ensemble resumes. jobs: instead of scheduler and workers, processes that are kept (`local_workers`).
+    clock of this name, or of the only one). scheduler, workers, store, progress: as in `run_jobs`; with a store an
+    interrupted ensemble resumes. jobs: instead of scheduler and workers, processes that are kept (`local_workers`).
 
     Every run is what `simulate` gives for it, to the last bit, on whatever lane, worker or cluster. A run that diverges
     or is unstable is reported in ``status`` and ``message`` and stops no other. Raises RotorsimError for wrong
@@ -75,9 +77,7 @@ def simulate_many(
     varied = varied_values(model, parameters or {}, initial)
     given = Given(stop, step, turns, reduce, window, record, record_every, method, angle, use_compiler)
     setup, steps = make_setup(model, varied, given)
-    text = _text(setup)
     runner = Runner(setup)
-    _keep(text, runner)
     starts = None if initial is None else np.broadcast_to(np.asarray(initial, float), (varied.n, model.n_x))
     work = setup.n_steps * max(model.n_x, 1)
     here = STEPS_OF_A_JOB if how.pool else STEPS_HERE
@@ -88,9 +88,12 @@ def simulate_many(
         size = GROUP * min(max(int(STEPS_OF_A_JOB / work / GROUP), 1), MOST_GROUPS)
         parts = [slice(first, first + size) for first in range(0, varied.n, size)]
         arguments = [_argument(varied, steps, starts, part) for part in parts]
+        text = _text(setup)
+        _keep(text, runner)
         key = hashlib.sha256(text.encode()).hexdigest()
         answers = run_jobs(partial(_job, text), arguments, jobs=how, store=store, key=key)
         outcome = joined([_unpacked(answer) for answer in answers])
+    _refuse_all(outcome)
     rows = setup.wanted.rows
     return Ensemble(
         varied.values,
@@ -99,6 +102,7 @@ def simulate_many(
         tuple(outcome.message),
         outcome.step_error,
         {name: model.select(name)[0].unit or "" for name in setup.names} | dict(varied.units),
+        {name: model.shape_of(name) for name in setup.names},
         np.array([rows.window[0], rows.window[1] - 1]) * setup.every * steps[:, None],
         setup.n_steps * steps,
         steps,
@@ -111,6 +115,16 @@ def simulate_many(
         },
         {**provenance_of(model, model.p0), "varied": list(varied.values), "method": setup.method, "path": runner.path},
     )
+
+
+def _refuse_all(outcome: Outcome) -> None:
+    """Raise RotorsimError where every run was refused; where some were, these have stopped."""
+    refused = [k for k, status in enumerate(outcome.status) if status == REFUSED]
+    if refused and len(refused) == len(outcome.status):
+        what, _, hint = outcome.message[0].partition("\n\nhint: ")
+        raise RotorsimError(Problem(what, hint=hint))
+    for k in refused:
+        outcome.status[k] = "stopped"
 
 
 # -- jobs --------------------------------------------------------------------------------------------------------------
@@ -143,7 +157,23 @@ def _text(setup: Setup) -> str:
     shared = {key: value for key, value in vars(setup).items() if key not in ("model", "wanted")}
     kept = {"kinds": wanted.kinds, "rows": [wanted.rows.n, *wanted.rows.window], "points": wanted.points}
     kept |= {"watched": [*wanted.columns.signals]}
-    return json.dumps({"document": diagram.document, "load": loaded, "setup": shared, "wanted": kept}, default=str)
+    plain = {"document": diagram.document, "load": loaded, "setup": shared, "wanted": kept}
+    return json.dumps(plain | {"code": _code(setup.model)}, default=str)
+
+
+def _code(model: Model) -> list[str]:
+    """Return what changes with files that a document only names: sub-diagrams, blocks of the user, FMUs."""
+    from rotorsim import __version__
+
+    trace, blocks = model.trace, [node.block for node in model.diagram.nodes.values()]
+    fmus = [Path(str(block.option.file)) for block in blocks if block.opaque]
+    if fmus:
+        parts = [file.read_bytes() for file in fmus if file.is_file()]
+    else:
+        arguments = [trace.t, trace.x, trace.z, trace.p, trace.v, trace.w, trace.hit]
+        results = [trace.xdot, trace.z_next, *trace.signals.values(), trace.x0, trace.z0]
+        parts = [str(ca.Function("all", arguments, results).serialize()).encode()]
+    return [__version__, *(hashlib.sha256(part).hexdigest() for part in (model.p0.tobytes(), *parts))]
 
 
 def _runner_of(text: str) -> Runner:

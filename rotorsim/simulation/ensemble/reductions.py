@@ -28,6 +28,7 @@ NUMBERS: Mapping[str, int] = {"harmonics": 3, "envelope": 200}  # what may follo
 DEFAULT = ("peak", "rms")
 OF_TURNS = ("harmonics", "poincare")
 ROWS_A_TURN = 8  # in a turn, for what lies between rows: the cubic through four is off by 1e-3 of 1X then
+TOO_STEEP = f"a turn of the shaft has fewer than {ROWS_A_TURN} recorded rows somewhere: no Poincare points are kept"
 GROWTH_PARTS = 8  # of a run, the last four of which tell whether it still grows
 
 
@@ -44,6 +45,8 @@ def chosen_reductions(names: Iterable[str]) -> dict[str, int]:
         elif equals and not (number.isdecimal() and 1 <= int(number) <= 10_000):
             hint = f"{kind}={NUMBERS[kind]}"
             problems.append(Problem(f"'{text}': not a whole number from 1 to 10000", "reduce", hint=hint))
+        elif kind in chosen:
+            problems.append(Problem(f"'{kind}' is named twice", "reduce", hint="name it once"))
         else:
             chosen[kind] = int(number) if equals else NUMBERS.get(kind, 0)
     if problems:
@@ -131,9 +134,17 @@ class Wanted:
             values[kind] = {name: _shaped(found[kind](), *at) for name, at in signals.items()}
         if "poincare" in values:
             beyond = np.arange(kept.points.shape[1]) >= kept.found[:, None]
+            beyond |= self.too_steep(kept)[:, None]
             for array in values["poincare"].values():
                 array[beyond] = np.nan
         return values
+
+    def too_steep(self, kept: Reduced) -> np.ndarray:
+        """Return which runs (n,) turn too fast, or too often, for their Poincare points."""
+        if "poincare" not in self.kinds:
+            return np.zeros(len(kept.found), bool)
+        fast = kept.steepest * ROWS_A_TURN > 2 * np.pi * (1 + 1e-9)
+        return np.asarray(fast | (kept.found > self.points))
 
     def _envelope(self, moments: Moments) -> np.ndarray:
         parts = [moments.between(*ends) for ends in pairwise(self.rows.envelope_ends(self.kinds["envelope"]))]
@@ -166,7 +177,7 @@ class Moments:
         """Return the moments of the rows first..last-1, both of which are ends of segments."""
         part = self._moments[self._at[first] : self._at[last]]
         with np.errstate(all="ignore"):
-            return np.array(
+            found = np.array(
                 [
                     part[:, LEAST].min(axis=0, initial=np.inf),
                     part[:, LARGEST].max(axis=0, initial=-np.inf),
@@ -174,6 +185,8 @@ class Moments:
                     part[:, SQUARES].sum(axis=0),
                 ]
             )
+        found[:, np.isnan(found[SUM])] = np.nan  # comparisons lose it
+        return found
 
 
 def harmonics_of(kept: Reduced) -> np.ndarray:
@@ -216,8 +229,8 @@ def reduce_rows(wanted: Wanted, rows: np.ndarray) -> Reduced:
     powers = turning[None] ** np.arange(2 * max(plan.orders, 0) + 1)[:, None]
     sums, products = powers.sum(axis=1), powers[: plan.orders + 1] @ window
     points = np.zeros((1, plan.n_points, plan.n_y))
-    crossed = crossings(window, plan.angle[2])[: plan.n_points] if plan.n_points else points[0]
-    points[0, : len(crossed)] = crossed
+    crossed = crossings(window, plan.angle[2]) if plan.n_points else points[0]
+    points[0, : len(crossed)] = crossed[: plan.n_points]
     return Reduced(
         moments,
         np.array([sums.real, sums.imag])[..., None],
@@ -226,6 +239,7 @@ def reduce_rows(wanted: Wanted, rows: np.ndarray) -> Reduced:
         np.array([len(crossed)]),
         window[..., None] if plan.history else None,
         rows[-1][:, None],
+        np.abs(np.diff(window[:, plan.angle[2]])).max(initial=0.0, keepdims=True) if plan.n_points else np.zeros(1),
     )
 
 

@@ -24,7 +24,7 @@ class Ensemble(Shown):
     `rotorsim.simulation.ensemble.reductions.KINDS`) -> signal -> (n, ...); NaN where a run did not reach its end.
     status, message: of every run, as in `Result`. step_error: relative, (n,). units: of parameters and signals.
     window: (n, 2) [s], of the reductions. stop, step: (n,) [s]. counters: runs, alone (those that had to run by
-    themselves), CPU seconds. provenance: what was run, with what.
+    themselves), CPU seconds. shapes: of signals. provenance: what was run, with what.
 
     ``ensemble["peak", "rotor.displacement"]`` are the values of one signal.
     """
@@ -35,6 +35,7 @@ class Ensemble(Shown):
     message: tuple[str, ...]
     step_error: np.ndarray
     units: Mapping[str, str]
+    shapes: Mapping[str, tuple[int, ...]]
     window: np.ndarray
     stop: np.ndarray
     step: np.ndarray

@@ -7,17 +7,28 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import Model
 from rotorsim.model.input_limits import input_limits
-from rotorsim.simulation.ensemble.reductions import OF_TURNS, ROWS_A_TURN, Rows, Wanted, chosen_reductions
+from rotorsim.simulation.ensemble.reductions import (
+    KINDS,
+    NUMBERS,
+    OF_TURNS,
+    ROWS_A_TURN,
+    Rows,
+    Wanted,
+    chosen_reductions,
+)
 from rotorsim.simulation.ensemble.shared import Setup, recorded_columns
 from rotorsim.simulation.run import LARGEST_RECORD, check_times
 
 WINDOW_ROWS = 8  # rows
+EVEN_INSTANTS = 32  # of a run, at which its shaft must have turned evenly
+ANGLE_INSTANTS = 65  # of a window, at which the angle is looked at before
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,18 +60,24 @@ class Given:
 
 def varied_values(model: Model, parameters: Mapping[str, Any], initial: np.ndarray | None) -> Varied:
     """Return what tells the runs apart. Raises RotorsimError with everything that is wrong."""
+    if not isinstance(parameters, Mapping):
+        raise RotorsimError(Problem("is no mapping of names to values", "parameters", hint="{'speed': [100.0, 200.0]}"))
     problems = []
     lists = {name: _each(values) for name, values in parameters.items()}
     sizes = {name: len(values) for name, values in lists.items() if len(values) != 1}
-    if initial is not None and np.ndim(initial) == 2 and len(initial) != 1:
-        sizes["initial"] = len(initial)
-    if initial is not None and np.shape(initial)[-1:] != (model.n_x,):
-        what = f"has shape {np.shape(initial)}; ({model.n_x},) or (runs, {model.n_x}) expected"
-        problems.append(Problem(what, "initial"))
+    if initial is not None:
+        shape = np.shape(initial)
+        if shape[-1:] != (model.n_x,) or len(shape) > 2:
+            what = f"has shape {shape}; ({model.n_x},) or (runs, {model.n_x}) expected"
+            problems.append(Problem(what, "initial"))
+        elif not np.issubdtype(np.asarray(initial).dtype, np.number) or not np.isfinite(initial).all():
+            problems.append(Problem("holds what is no finite number", "initial"))
+        elif len(shape) == 2 and shape[0] != 1:
+            sizes["initial"] = shape[0]
     n = max(sizes.values(), default=1)
     for name, size in sizes.items():
-        if size != n:
-            problems.append(Problem(f"{size} values given, {n} expected", name, hint="as many as of the longest"))
+        if size != n or size == 0:
+            problems.append(Problem(f"{size} values given, {n or 'some'} expected", name, hint="one for each run"))
     found: dict[str, np.ndarray] = {}
     units: dict[str, str] = {}
     for name, values in lists.items():
@@ -73,8 +90,12 @@ def varied_values(model: Model, parameters: Mapping[str, Any], initial: np.ndarr
         except RotorsimError as error:
             problems += error.problems[:1]
             continue
-        parts = model.references[name][:1] if name in model.references else [model.parameters.get(name, slice(0, 0))]
-        array = np.array([vector[parts[0]] for vector in vectors])
+        part = model.references[name][0] if name in model.references else model.parameters.get(name)
+        if part is None:
+            what = "nothing in the diagram follows it: all runs would be the same"
+            problems.append(Problem(what, name, hint=f"refer to it in a block: '${name}'"))
+            continue
+        array = np.array([vector[part] for vector in vectors])
         array = array[:, 0] if array.shape[1:] == (1,) else array
         found[name] = np.broadcast_to(array, (n, *array.shape[1:])) if len(array) == 1 else array
         units[name] = _unit_of(model, name)
@@ -122,12 +143,17 @@ def make_setup(model: Model, varied: Varied, given: Given) -> tuple[Setup, np.nd
     names = tuple(dict.fromkeys(model.record_names(given.record)))
     for name in names:
         model.select(name)
+    if not kinds:
+        raise RotorsimError(Problem("nothing is kept of the runs", "reduce", hint=f"one of {', '.join(KINDS)}"))
     of_turns = [kind for kind in OF_TURNS if kind in kinds]
     needed = [*of_turns, *(["turns"] if given.turns is not None else [])]
-    theta = _angle_of(model, given.angle, needed) if needed else ""
+    theta = _angle_of(model, given.angle, needed) if needed or given.angle is not None else ""
     n_steps, steps, row, whole = _steps(model, varied, given, theta, every)
     n = n_steps // every + 1 if n_steps % every == 0 else -(-n_steps // every)
     rows = Rows(n, _window(n, row, given.window, whole, "s" if given.turns is None else "turns"))
+    if kinds.get("envelope", 0) > n:
+        what = f"{kinds['envelope']} parts of runs of {n} recorded rows: some would hold none"
+        raise RotorsimError(Problem(what, "reduce: envelope", hint=f"envelope={min(n, NUMBERS['envelope'])}"))
     limits = input_limits(model.diagram, {name: varied.p[0][part] for name, part in model.parameters.items()})
     watched = tuple(dict.fromkeys((*names, *(str(item.source) for item in limits))))
     angle = theta if of_turns else ""
@@ -156,6 +182,7 @@ def _steps(model: Model, varied: Varied, given: Given, theta: str, every: int) -
         whole = float(given.turns)
         turn = _turn(model, theta, varied.p)
         check_times(h, whole * float(turn.max()), every)
+        _refuse_changing_speed(model, theta, varied.p, turn, whole)
         in_turn = math.ceil(float(turn.max()) / h - 1e-9)
         n_steps, steps, row = max(math.ceil(whole * in_turn - 1e-9), 1), turn / in_turn, every / in_turn
     if every > n_steps:
@@ -166,7 +193,10 @@ def _steps(model: Model, varied: Varied, given: Given, theta: str, every: int) -
 
 def _window(n: int, row: float, window: tuple[float, float] | None, whole: float, unit: str) -> tuple[int, int]:
     """Return the first row of the window, and the one behind its last, of n rows that are ``row`` [unit] apart."""
-    begin, end = window if window is not None else (whole / 2, whole)
+    try:
+        begin, end = map(float, window if window is not None else (whole / 2, whole))
+    except (TypeError, ValueError):
+        raise RotorsimError(Problem(f"{window}: is no pair of numbers", "window", hint="(from, to)")) from None
     if not 0 <= begin < end or end > whole * (1 + 1e-9):
         what = f"{begin:.6g} {unit} to {end:.6g} {unit} is no part of runs of {whole:.6g} {unit}"
         raise RotorsimError(Problem(what, "window", hint=f"for example {whole / 2:.6g} to {whole:.6g}"))
@@ -185,8 +215,11 @@ def _angle_of(model: Model, angle: str | None, needed: Sequence[str]) -> str:
     if angle is None:
         hint = "angle='clock.theta', a signal in rad"
         raise RotorsimError(Problem("needs the angle of a shaft; no single clock gives one", needed[0], hint=hint))
-    if model.shape_of(angle) != ():
-        raise RotorsimError(Problem(f"'{angle}' is no single angle", needed[0], hint="a scalar signal in rad"))
+    if model.shape_of(angle) != () or model.select(angle)[0].unit != "rad":
+        raise RotorsimError(Problem(f"'{angle}' is no single angle", "angle", hint="a scalar signal in rad"))
+    if ca.depends_on(model.expression(angle), ca.vertcat(model.trace.x, model.trace.z)):
+        what = f"'{angle}' depends on states: how often it turns is not known before"
+        raise RotorsimError(Problem(what, "angle", hint="the angle of a clock"))
     return angle
 
 
@@ -199,30 +232,39 @@ def _angles(model: Model, theta: str, p: np.ndarray, t: np.ndarray) -> np.ndarra
 
 def _turn(model: Model, theta: str, p: np.ndarray) -> np.ndarray:
     """Return how long a turn takes in every run [s], (n,). Raises RotorsimError where speeds are not constant."""
-    at = [_angles(model, theta, p, np.full(len(p), t)) for t in (0.0, 1.0, 3.0)]
-    speed, later = at[1] - at[0], (at[2] - at[1]) / 2
-    problems = []
-    if not (np.abs(speed) > 0).all():
-        problems.append(Problem(f"run {int(np.argmin(np.abs(speed))) + 1} does not turn", "turns", hint="use stop"))
-    if not (np.abs(later - speed) <= 1e-9 * np.abs(speed)).all():
-        problems.append(Problem("the speed is not constant: turns differ in length", "turns", hint="use stop"))
-    if problems:
-        raise RotorsimError(*problems)
-    return np.asarray(2 * np.pi / np.abs(speed))
+    speed = np.abs(_angles(model, theta, p, np.ones(len(p))) - _angles(model, theta, p, np.zeros(len(p))))
+    if not (speed > 0).all():
+        raise RotorsimError(Problem(f"run {int(np.argmin(speed)) + 1} does not turn", "turns", hint="use stop"))
+    return np.asarray(2 * np.pi / speed)
+
+
+def _refuse_changing_speed(model: Model, theta: str, p: np.ndarray, turn: np.ndarray, turns: float) -> None:
+    """Raise RotorsimError where shafts do not turn evenly all through their runs."""
+    first = _angles(model, theta, p, np.zeros(len(p)))
+    for share in np.arange(1, EVEN_INSTANTS + 1) / EVEN_INSTANTS:
+        turned = np.abs(_angles(model, theta, p, share * turns * turn) - first)
+        if not (np.abs(turned - 2 * np.pi * share * turns) <= 1e-9 * turned).all():
+            what = "the speed is not constant: turns differ in length"
+            raise RotorsimError(Problem(what, "turns", hint="use stop"))
 
 
 def _points(model: Model, theta: str, p: np.ndarray, rows: Rows, apart: np.ndarray, kinds: Mapping[str, int]) -> int:
-    """Return how many turns a window holds at most. Raises RotorsimError where a turn has too few rows."""
-    first, last = (_angles(model, theta, p, row * apart) for row in (rows.window[0], rows.window[1] - 1))
-    near = np.abs(_angles(model, theta, p, (rows.window[1] - 2) * apart) - last)
-    turn = np.abs(_angles(model, theta, p, (rows.window[0] + 1) * apart) - first)
-    most = float(np.maximum(near, turn).max())
+    """Return how many turns a window holds at most, forward and back. Raises RotorsimError where one has too few rows.
+
+    The angle is looked at at rows that are spread over the window, and at those behind them; what lies between is seen
+    to as the runs go (`rotorsim.simulation.ensemble.verdicts`).
+    """
+    first, last = rows.window[0], rows.window[1] - 2
+    spread = np.unique(np.linspace(first, last, min(ANGLE_INSTANTS, last - first + 1)).astype(int))
+    angles = np.array([_angles(model, theta, p, row * apart) for row in (*spread, rows.window[1] - 1)])
+    behind = np.array([_angles(model, theta, p, (row + 1) * apart) for row in spread])
+    most = float(np.abs(behind - angles[:-1]).max())
     least = max(ROWS_A_TURN, 2 * kinds.get("harmonics", 0) + 2)
     if most * least > 2 * np.pi * (1 + 1e-9):
         kind = next(kind for kind in OF_TURNS if kind in kinds)
         what = f"a turn of the shaft has {2 * np.pi / most:.3g} recorded rows; at least {least} are needed"
         raise RotorsimError(Problem(what, kind, hint="a smaller record_every or step"))
-    return math.ceil(float(np.abs(last - first).max()) / (2 * np.pi)) + 1
+    return math.ceil(1.01 * float(np.abs(np.diff(angles, axis=0)).sum(axis=0).max()) / (2 * np.pi)) + 2
 
 
 def _refuse_size(wanted: Wanted, n: int) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
 from rotorsim.linear.linearisation import jacobians
@@ -17,7 +18,7 @@ from rotorsim.linear.stability import growing, step_factor
 from rotorsim.model.compiled import Model
 from rotorsim.model.input_limits import input_limits
 from rotorsim.model.lanes import Reduced
-from rotorsim.simulation.ensemble.reductions import LARGEST, LEAST, SQUARES, Moments
+from rotorsim.simulation.ensemble.reductions import LARGEST, LEAST, SQUARES, TOO_STEEP, Moments
 from rotorsim.simulation.ensemble.shared import Setup
 from rotorsim.simulation.run import LARGEST_RESIDUAL
 from rotorsim.simulation.validity import LARGEST_ERROR, WHOLE_NUMBER, growth_of, mean_jacobian, relative_to
@@ -83,7 +84,8 @@ def verdicts(
         else:
             fine &= rates <= 0
     status = ["finished" if fine[k] else "unstable" if k in unstable else "" for k in range(n)]
-    return status, [unstable.get(k, "") for k in range(n)], error
+    steep = setup.wanted.too_steep(reached.kept)
+    return status, [unstable.get(k, TOO_STEEP if steep[k] else "") for k in range(n)], error
 
 
 def _beyond_limits(setup: Setup, largest: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -116,9 +118,17 @@ def _growth(setup: Setup, moments: Moments, end: np.ndarray) -> np.ndarray:
     ends = setup.wanted.rows.growth_ends
     if ends[1] - ends[0] < 4:
         return np.zeros(len(end))
-    parts = np.array([moments.between(*both) for both in pairwise(ends)])
+    parts = np.array([moments.between(*both)[:, _moving(setup)] for both in pairwise(ends)])
     seconds = (ends[1] - ends[0]) * setup.every / setup.n_steps * end
     return np.asarray(growth_of(parts[:, LARGEST] - parts[:, LEAST], seconds))
+
+
+def _moving(setup: Setup) -> np.ndarray:
+    """Return the columns of signals that depend on states: an angle grows as the shaft turns."""
+    trace, signals = setup.model.trace, setup.wanted.columns.signals
+    states = ca.vertcat(trace.x, trace.z)
+    moving = [part for name, (part, _) in signals.items() if ca.depends_on(setup.model.expression(name), states)]
+    return np.array([k for part in moving for k in range(part.start, part.stop)], int)
 
 
 def _poles(model: Model, x: np.ndarray, p: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +14,14 @@ import h5py
 import numpy as np
 import pytest
 
-from rotorsim.errors import RotorsimError
+from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.load import load
 from rotorsim.simulation.ensemble.files import save_ensemble
 from rotorsim.simulation.ensemble.many import simulate_many
 from rotorsim.simulation.ensemble.result import Ensemble
+from rotorsim.simulation.result import Result
+from rotorsim.simulation.run import simulate
+from tests.systems.shipped import document, load_document, variant
 
 SIGNAL = "rotor.displacement"
 
@@ -141,7 +146,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "numbers": (
         {"speed": [1.0, 2.0, 3.0], "controller.KP": [1.0, 2.0]},
         {},
-        "error: controller.KP: 2 values given, 3 expected\n\nhint: as many as of the longest",
+        "error: controller.KP: 2 values given, 3 expected\n\nhint: one for each run",
     ),
     "unit": ({"speed": ["5 kg"]}, {}, "error: speed: unit 'kg' does not fit 'rad/s'"),
     "bounds": ({"rotor.mass": [1.0, -1.0]}, {}, "error: rotor.mass: -1 kg must be greater than 0 kg"),
@@ -165,7 +170,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "angle": (
         {},
         {"reduce": ["poincare"], "angle": "rotor.displacement"},
-        "error: poincare: 'rotor.displacement' is no single angle\n\nhint: a scalar signal in rad",
+        "error: angle: 'rotor.displacement' is no single angle\n\nhint: a scalar signal in rad",
     ),
     "memory": (
         {"speed": np.linspace(100.0, 200.0, 5000)},
@@ -177,6 +182,33 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
         {},
         {"reduce": ["radius"], "record": ["clock.theta"]},
         "error: reduce: radius: no recorded signal has two axes\n\nhint: a signal whose last dimension is [x, y]",
+    ),
+    "envelope": (
+        {},
+        {"reduce": ["envelope"], "stop": 0.01},
+        "error: reduce: envelope: 200 parts of runs of 101 recorded rows: some would hold none\n\nhint: envelope=101",
+    ),
+    "nothing": ({}, {"reduce": []}, "error: reduce: nothing is kept of the runs\n\nhint: one of peak, "),
+    "twice": ({}, {"reduce": ["peak", "peak"]}, "error: reduce: 'peak' is named twice\n\nhint: name it once"),
+    "no values": ({"speed": []}, {}, "error: speed: 0 values given, some expected\n\nhint: one for each run"),
+    "no states": ({}, {"initial": np.zeros((0, 6))}, "error: initial: 0 values given, some expected"),
+    "three dimensions": (
+        {},
+        {"initial": np.zeros((2, 3, 6))},
+        "error: initial: has shape (2, 3, 6); (6,) or (runs, 6)",
+    ),
+    "words": ({}, {"initial": ["a"] * 6}, "error: initial: holds what is no finite number"),
+    "window of three": (
+        {},
+        {"window": (0, 1, 2)},
+        "error: window: (0, 1, 2): is no pair of numbers\n\nhint: (from, to)",
+    ),
+    "window of nothing": ({}, {"window": (0, None)}, "error: window: (0, None): is no pair of numbers"),
+    "angle of no use": ({}, {"angle": "bogus"}, "error: bogus: no such signal"),
+    "speed as angle": (
+        {},
+        {"reduce": ["poincare"], "angle": "clock.speed"},
+        "error: angle: 'clock.speed' is no single angle\n\nhint: a scalar signal in rad",
     ),
     "signal": ({}, {"record": ["rotor.displacment"]}, "error: rotor.displacment: no such signal"),
     "workers": ({}, {"workers": 0}, "error: workers: 0 workers: at least one is needed"),
@@ -210,3 +242,159 @@ def test_no_shaft() -> None:
         "error: harmonics: needs the angle of a shaft; no single clock gives one\n\n"
         "hint: angle='clock.theta', a signal in rad"
     )
+
+
+def test_names_and_values_that_are_no_mapping() -> None:
+    with pytest.raises(RotorsimError, match="parameters: is no mapping of names to values"):
+        simulate_many(load("jeffcott"), ["speed"])  # type: ignore[arg-type]
+
+
+def test_a_parameter_that_nothing_follows() -> None:
+    content = document("jeffcott") | {"parameters": document("jeffcott")["parameters"] | {"free": "3 kg"}}
+    with pytest.raises(RotorsimError) as error:
+        simulate_many(load_document(content), {"free": [1.0, 2.0]})
+    assert str(error.value) == (
+        "error: free: nothing in the diagram follows it: all runs would be the same\n\n"
+        "hint: refer to it in a block: '$free'"
+    )
+
+
+def test_turns_of_a_speed_that_changes_late() -> None:
+    clock = {"profile": "table", "times": [0.0, 4.0, 5.0], "speeds": [100.0, 100.0, 300.0]}
+    diagram = variant("jeffcott", {"clock": {"type": "clock", "parameters": clock}})
+    with pytest.raises(RotorsimError, match="turns: the speed is not constant"):
+        simulate_many(diagram, turns=200)
+    assert simulate_many(diagram, turns=50, step=1e-3).counts == {"finished": 1}  # it ends before
+
+
+@pytest.mark.parametrize("use_compiler", [True, False])
+def test_a_shaft_that_turns_back(use_compiler: bool) -> None:
+    """From 200 to -200 rad/s in 2 s, 200 rad to and fro: 31 whole turns are passed, and the same ones again."""
+    clock = {"profile": "table", "times": [0.0, 2.0], "speeds": [200.0, -200.0]}
+    diagram = variant("jeffcott", {"clock": {"type": "clock", "parameters": clock}})
+    options: dict[str, Any] = {"reduce": ["poincare"], "window": (0.001, 2.0), "use_compiler": use_compiler}
+    found = simulate_many(diagram, stop=2.0, step=1e-3, **options)
+    points = found["poincare", "clock.theta"][0] / (2 * np.pi)
+    points = points[np.isfinite(points)]
+    whole = int(100.0 / (2 * np.pi))
+    assert points == pytest.approx([*range(1, whole + 1), *range(whole, 0, -1)], abs=1e-4)
+
+
+def test_a_run_that_turns_too_fast_between_has_no_points_and_says_so() -> None:
+    clock = {
+        "profile": "table",
+        "times": [0.0, 0.5003, 0.5006, 0.5009, 1.0],
+        "speeds": [50.0, 50.0, 15000.0, 50.0, 50.0],
+    }
+    diagram = variant("jeffcott", {"clock": {"type": "clock", "parameters": clock}})
+    found = simulate_many(diagram, stop=1.0, reduce=["poincare"], window=(0.1, 1.0))
+    assert np.isnan(found["poincare", SIGNAL]).all()
+    assert found.message == (
+        "a turn of the shaft has fewer than 8 recorded rows somewhere: no Poincare points are kept",
+    )
+
+
+def test_an_angle_that_is_a_state() -> None:
+    content = document("jeffcott")
+    content["blocks"]["turned"] = {"type": "integrator"}
+    content["wires"].append(["clock.speed", "turned.input"])
+    with pytest.raises(RotorsimError, match=r"angle: 'turned\.output' "):
+        simulate_many(load_document(content), reduce=["poincare"], angle="turned.output")
+
+
+def test_ctrl_c_ends_the_ensemble(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A run that was interrupted never gets into a store."""
+    stopped = simulate(load("jeffcott"), stop=0.05)
+    stopped = Result(stopped.time, stopped.signals, stopped.units, "stopped", "interrupted at t = 0.02 s")
+    monkeypatch.setattr("rotorsim.simulation.ensemble.batch.simulate", lambda *a, **o: stopped)
+    store = tmp_path / "runs.jsonl"
+    with pytest.raises(KeyboardInterrupt):
+        simulate_many(load("jeffcott"), method="rk45", stop=0.05, store=store, workers=1)
+    assert store.read_text() == ""
+
+
+def test_a_run_that_is_refused_stops_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a second look at one run cannot have, such as room, is said of that run; of all runs it is an error."""
+    parameters = {"controller.KP": [12200.0, -1e9, 13000.0]}
+
+    def refusing(*given: Any, **options: Any) -> Result:
+        raise RotorsimError(Problem("the recorded signals would take 2 GB", "record", hint="fewer signals"))
+
+    monkeypatch.setattr("rotorsim.simulation.ensemble.batch.simulate", refusing)
+    found = simulate_many(load("jeffcott"), parameters, stop=0.2)
+    assert found.status.tolist() == ["finished", "stopped", "finished"]
+    assert found.message[1].startswith("record: the recorded signals would take 2 GB")
+    assert np.isnan(found["peak", SIGNAL][1]).all()
+    assert np.isfinite(found["peak", SIGNAL][[0, 2]]).all()
+    with pytest.raises(RotorsimError, match="the recorded signals would take 2 GB"):
+        simulate_many(load("jeffcott"), {"controller.KP": [-1e9]}, stop=0.2)
+
+
+@pytest.mark.slow
+def test_a_store_is_not_resumed_with_other_code(tmp_path: Path) -> None:
+    """A block of the user, a file that the document only names, has changed between two calls."""
+    (tmp_path / "mine").mkdir()
+    block = """from rotorsim.block import Block, Equations, In, Out
+
+
+class Scaled(Block):
+    \"\"\"Scale a number.
+
+    y = FACTOR u
+    \"\"\"
+
+    u = In()
+    y = Out()
+
+    def equations(self, p, u, x, t):
+        return Equations(outputs={"y": FACTOR * u.u})
+"""
+    content = {
+        "schema_version": 1,
+        "name": "scaled",
+        "block_folders": ["mine"],
+        "blocks": {"source": {"type": "constant", "parameters": {"value": 1.0}}, "scaled": {"type": "scaled"}},
+        "wires": [["source.output", "scaled.u"]],
+        "solver": {"step": 0.01, "stop": 1.0},
+        "record": ["scaled.y"],
+    }
+    (tmp_path / "scaled.json").write_text(json.dumps(content))
+    command = [
+        sys.executable,
+        "-m",
+        "rotorsim",
+        "sweep",
+        "scaled.json",
+        "--trust-blocks",
+        "--vary",
+        "source.value=1, 2",
+    ]
+    command += ["--store", "runs.jsonl", "--workers", "1"]
+    ended = []
+    for factor in ("2.0", "30.0", "2.0"):
+        (tmp_path / "mine" / "scaled.py").write_text(block.replace("FACTOR", factor))
+        ended.append(subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False))
+    assert [one.returncode for one in ended] == [0, 2, 0], [one.stderr for one in ended]
+    assert "this store belongs to another function or other settings" in ended[1].stderr
+    assert ended[0].stdout == ended[2].stdout
+
+
+def test_an_output_that_is_no_number() -> None:
+    """sqrt of a sine below zero, which drives no state."""
+    content = {
+        "name": "root",
+        "blocks": {
+            "clock": {"type": "clock", "parameters": {"speed": 10.0}},
+            "sine": {"type": "trigonometric"},
+            "root": {"type": "math_function", "parameters": {"function": "sqrt"}},
+        },
+        "wires": [["clock.theta", "sine.input"], ["sine.output", "root.input"]],
+        "solver": {"step": 0.01, "stop": 2.0},
+        "record": ["root.output"],
+    }
+    found = simulate_many(load_document(content), {"clock.speed": [10.0, 11.0, 1.0]})
+    assert found.status.tolist() == ["diverged", "diverged", "finished"]
+    assert found.message[0] == "'root.output' is not a finite number in 93 of 201 rows, first at t = 0.32 s"
+    alone = simulate(load_document(content))
+    assert (alone.status, alone.message) == (found.status[0], found.message[0])
+    assert np.isnan(found["peak", "root.output"]).tolist() == [True, True, False]
