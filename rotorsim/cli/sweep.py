@@ -122,7 +122,7 @@ def command(
     \b
     rotorsim sweep jeffcott --vary "speed=600 rpm:10 rpm:3000 rpm" --reduce radius,harmonics --plot resonance.png
     rotorsim sweep jeffcott --vary "speed=600 rpm:20 rpm:3000 rpm" --vary "controller.KP=9e3:1e3:3e4" --plot map.png
-    rotorsim sweep jeffcott --vary "speed=600 rpm:50 rpm:3000 rpm" --vary "rotor.mass=normal(4 kg, 5 %)" --plot band.png
+    rotorsim sweep jeffcott --vary "speed=600 rpm:50 rpm:3000 rpm" --vary "rotor.mass=normal(2 kg, 5 %)" --plot band.png
     """
     of = of.strip()
     for name, given in {"--figure": figure, "--show": signal, "--of": of, "--over": over}.items():
