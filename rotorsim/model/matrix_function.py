@@ -31,7 +31,6 @@ class MatrixFunction:
         self._arguments, self._given = list(arguments), expression
         self._sizes = [argument.numel() for argument in arguments]
         self._mapped: dict[tuple[int, tuple[int, ...]], Any] = {}
-        self._asked = 0  # at many points
         self._calls = 0  # of parts whose equations are elsewhere, by the virtual machine
 
     @cached_property
@@ -118,24 +117,17 @@ class MatrixFunction:
         raise_failure()
         return result
 
-    @property
-    def _by_arrays(self) -> Any:
-        """The function by NumPy, once it has been asked for often enough; None where it is not to be had."""
-        if self._called or self._steady is not None:
-            return None
-        self._asked += 1
-        return self._written if self._asked > 1 else None
-
     @cached_property
-    def _written(self) -> Any:
-        return array_function(self._function)
+    def _by_arrays(self) -> Any:
+        """The function by NumPy, None where it is not to be had."""
+        return None if self._steady is not None or self._called else array_function(self._function)
 
     def _at_arrays(self, n: int, columns: tuple[Any, ...]) -> np.ndarray:
         """Return the nonzeros, (n, nnz), of arguments that are a column, or n columns side by side."""
         given = [np.asarray(column, float) for column in columns]
         given = [array if array.shape[1:] == (n,) else array.ravel() for array in given]
         with np.errstate(all="ignore"):
-            return np.asarray(self._written(*given, np.empty((len(self.rows), n)))).T
+            return np.asarray(self._by_arrays(*given, np.empty((len(self.rows), n)))).T
 
     @cached_property
     def _called(self) -> int:

@@ -16,9 +16,10 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.settled.equations import Equations, PortEquations, instants
 from rotorsim.settled.ports import Ports, open_ports
 from rotorsim.settled.resolvent import Resolvent, resolvent_of
-from rotorsim.settled.slow_states import DENSE, slow_states
+from rotorsim.settled.slow_states import slow_states
 from rotorsim.settled.torus import Torus
 
+DENSE = 24  # states up to which matrices of all states are as fast as ports
 PARAMETER_POINTS = 2  # other values of the parameters at which it is seen what they move
 PARAMETER_SPREAD = 0.1  # relative
 SAMPLES = 16  # of a turn

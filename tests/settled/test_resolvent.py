@@ -7,11 +7,11 @@ from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
 from rotorsim.settled.equations import Equations
-from rotorsim.settled.motion import LinearMotion
+from rotorsim.settled.motion import DENSE, LinearMotion
 from rotorsim.settled.nonlinear import NonlinearMotion
 from rotorsim.settled.ports import open_ports
 from rotorsim.settled.resolvent import resolvent_of
-from rotorsim.settled.slow_states import DENSE, slow_states
+from rotorsim.settled.slow_states import ALL_MODES, slow_states
 
 SPEEDS = np.array([150.0, -260.0, 410.0])
 SLOW = [np.array([], int), np.array([2]), np.array([0, 5])]
@@ -63,9 +63,9 @@ def test_ports_respond_as_the_whole_does_to_what_moves_them():
         assert part.slow[r] == pytest.approx(whole.slow[r][ports.columns], rel=1e-9, abs=1e-9)
 
 
-def test_slow_states_of_large_systems_are_those_of_all_modes():
+@pytest.mark.parametrize("n", [44, ALL_MODES + 20])
+def test_slow_states_of_large_systems_are_those_of_all_modes(n):
     random = np.random.default_rng(3)
-    n = DENSE + 20
     blocks = np.diag(-np.linspace(40.0, 900.0, n))
     blocks[3, 3], blocks[11, 11], blocks[12, 12] = -0.07, -0.02, -0.02  # two of them alike
     T = np.eye(n) + 0.02 * random.standard_normal((n, n))
@@ -74,8 +74,8 @@ def test_slow_states_of_large_systems_are_those_of_all_modes():
     assert slow_states(A + 50.0 * np.eye(n) - 100.0 * np.eye(n), 1.0).tolist() == []
 
 
-def test_slow_states_of_two_axes_that_are_exactly_alike():
-    n = DENSE
+@pytest.mark.parametrize("n", [24, ALL_MODES])
+def test_slow_states_of_two_axes_that_are_exactly_alike(n):
     axis = np.diag(-np.linspace(40.0, 900.0, n)) + 2.0 * np.eye(n, k=1)
     axis[5, 5] = -0.07
     A = np.kron(axis, np.eye(2))
