@@ -147,9 +147,9 @@ def _no_number(time: np.ndarray, signals: Mapping[str, np.ndarray]) -> str:
     """Return which recorded signal is no number somewhere, though all states are, and since when; empty where none."""
     for name, values in signals.items():
         with np.errstate(all="ignore"):
-            finite = np.isfinite(values.reshape(len(time), -1).sum(axis=1))  # one pass over many rows
-        if not finite.all():
-            finite = np.isfinite(values.reshape(len(time), -1)).all(axis=1)
+            if np.isfinite(values.sum()):  # one pass: looking at each takes as long as a third of a run
+                continue
+        finite = np.isfinite(values.reshape(len(time), -1)).all(axis=1)
         if not finite.all():
             first = float(time[int(np.argmin(finite))])
             rows = f"{int((~finite).sum())} of {len(time)} rows"
