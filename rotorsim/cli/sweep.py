@@ -27,6 +27,7 @@ from rotorsim.cli.shared import (
     show,
     show_problems,
     solver_option,
+    warn,
 )
 from rotorsim.errors import Problem
 
@@ -144,6 +145,9 @@ def command(
     part = None if window is None else window_of_run(window, "s" if turns is None else "turns")
     loaded = chosen.open()
     varied = variations(vary, loaded, draws, seed)
+    for name, node in loaded.nodes.items():
+        if node.block.type_name == "to_file":
+            warn("its file is not written: it would be that of one run alone", name, hint="--out FILE holds all runs")
     recorded = [*record] or _recorded(loaded, wanted)
     _check_figure(Drawn(plot, figure or "", signal, of, over), chosen_reductions(wanted), recorded, [*varied.runs])
     with progress_bar(loaded.name, progress) as bar:

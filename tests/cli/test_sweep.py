@@ -13,6 +13,7 @@ from rotorsim.cli.shared.variations import variations
 from rotorsim.errors import RotorsimError
 from rotorsim.model.load import load
 from tests.cli.conftest import Run
+from tests.systems.shipped import DIAGRAMS
 
 SHORT = ("--stop", "0.2 s")
 
@@ -208,3 +209,14 @@ def test_a_warning_of_runs_that_finished(run: Run) -> None:
         "warning: jeffcott: 2 of 2 runs finished with a warning; the first, speed = 954.93 rpm: the step 0.002 s is "
         in found.stderr
     )
+
+
+def test_files_of_blocks_are_not_written_and_that_is_said(run: Run) -> None:
+    content = json.loads((DIAGRAMS / "jeffcott.json").read_text())
+    content["blocks"]["kept"] = {"type": "to_file", "parameters": {"names": ["displacement"], "file": "kept.csv"}}
+    content["wires"].append(["rotor.displacement", "kept.displacement"])
+    Path("mine.json").write_text(json.dumps(content))
+    found = run("sweep", "mine.json", "--vary", "speed=90, 99", *SHORT)
+    assert found.exit_code == 0, found.stderr
+    assert "warning: kept: its file is not written: it would be that of one run alone" in found.stderr
+    assert not Path("kept.csv").exists()

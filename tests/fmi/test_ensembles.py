@@ -40,6 +40,7 @@ def test_co_simulated_runs_are_those_by_themselves(fmu: Make) -> None:
         assert found.step_error[k] == alone.counters["step_error"]
 
 
+@pytest.mark.slow
 def test_workers_have_the_consent_of_the_diagram(fmu: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rotorsim.simulation.ensemble.many.STEPS_OF_A_JOB", 1.0)
     monkeypatch.setattr("rotorsim.simulation.ensemble.many.STEPS_HERE", 0.0)
