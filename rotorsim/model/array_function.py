@@ -15,13 +15,13 @@ import numpy as np
 from rotorsim.model.emit import program as ir
 from rotorsim.model.emit.program import Program
 
-LARGEST = 20_000  # operations of a program that is written as Python
+MOST_WRITTEN = 20_000  # operations of a program that is written as Python
 
-_INFIX = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
-_TRUE = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
-_FORMAT: Mapping[int, str] = {
-    **{op: f"{{0}} {sign} {{1}}" for op, sign in _INFIX.items()},
-    **{op: f"({{0}} {sign} {{1}}) * 1.0" for op, sign in _TRUE.items()},
+_SIGNS = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
+_COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
+_BY_NUMPY: Mapping[int, str] = {
+    **{op: f"{{0}} {sign} {{1}}" for op, sign in _SIGNS.items()},
+    **{op: f"({{0}} {sign} {{1}}) * 1.0" for op, sign in _COMPARISONS.items()},
     ca.OP_NEG: "-{0}",
     ca.OP_SQ: "{0} * {0}",
     ca.OP_TWICE: "{0} + {0}",
@@ -71,8 +71,8 @@ def array_function(function: ca.Function) -> Callable[..., np.ndarray] | None:
     program = Program(reassociate=False)
     nodes = program.load(function, names)[0]
     order = program.needed(nodes)
-    known = {ir.INPUT, ir.CONSTANT, *_FORMAT}
-    if len(order) > LARGEST or any(program.nodes[k][0] not in known for k in order):
+    known = {ir.INPUT, ir.CONSTANT, *_BY_NUMPY}
+    if len(order) > MOST_WRITTEN or any(program.nodes[k][0] not in known for k in order):
         return None
     namespace: dict[str, Any] = {"np": np}
     exec(compile(_source(program, nodes, order, names), "<array function>", "exec"), namespace)
@@ -96,7 +96,7 @@ def _source(program: Program, nodes: Sequence[int], order: Sequence[int], names:
             text[number] = f"np.float64({program.value(number)!r})".replace("inf", "np.inf").replace("nan", "np.nan")
             continue
         operands = program.operands(number)
-        value = _FORMAT[op].format(*(text[k] for k in operands))
+        value = _BY_NUMPY[op].format(*(text[k] for k in operands))
         free += [text[k] for k in dict.fromkeys(operands) if last[k] == place and text[k].startswith("v")]
         if free:
             target = free.pop()
