@@ -17,7 +17,7 @@ from rotorsim.model.emit.program import Program
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 from rotorsim.model.emit.writer import Writer, array_leaf, call_table, called_functions
 
-BLOCK = 4096  # points at a time: what is on the way fits into the cache of a processor
+POINTS_AT_A_TIME = 4096  # points at a time: what is on the way fits into the cache of a processor
 MANY_POINTS = 128  # NumPy takes 0.8 us for an operation at a few, the virtual machine 0.01 us at each
 WORTH_COMPILING = 10_000  # calls of parts by the virtual machine, each by way of Python: as long as a compilation takes
 
@@ -128,8 +128,8 @@ class MatrixFunction:
         given = [np.asarray(column, float) for column in columns]
         out = np.empty((len(self.rows), n))
         with np.errstate(all="ignore"):
-            for first in range(0, n, BLOCK):
-                some = slice(first, first + BLOCK)
+            for first in range(0, n, POINTS_AT_A_TIME):
+                some = slice(first, first + POINTS_AT_A_TIME)
                 parts = [array[:, some] if array.shape[1:] == (n,) else array.ravel() for array in given]
                 self._by_arrays(*parts, out[:, some])
         return out.T

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorsim.model.array_function import array_function
-from rotorsim.model.matrix_function import BLOCK, MANY_POINTS, MatrixFunction
+from rotorsim.model.matrix_function import POINTS_AT_A_TIME, MANY_POINTS, MatrixFunction
 from tests.systems.shipped import shipped
 
 UNARY = "exp log sqrt sin cos tan asin acos atan floor ceil fabs sinh cosh tanh asinh acosh atanh log1p expm1 sign"
@@ -48,7 +48,7 @@ def test_the_rates_of_a_diagram(name: str) -> None:
 def test_more_points_than_are_taken_at_a_time() -> None:
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
     function = MatrixFunction([x, p], ca.vertcat(x[0] * p, x[1] + p))
-    points = np.arange(2.0 * (2 * BLOCK + 5)).reshape(2, -1)
+    points = np.arange(2.0 * (2 * POINTS_AT_A_TIME + 5)).reshape(2, -1)
     assert np.array_equal(function(points, np.array([3.0]))[:, :, 0], np.array([points[0] * 3.0, points[1] + 3.0]).T)
 
 
