@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorsim.model.array_function import array_function
-from rotorsim.model.matrix_function import POINTS_AT_A_TIME, MANY_POINTS, MatrixFunction
+from rotorsim.model.matrix_function import MANY_POINTS, POINTS_AT_A_TIME, MatrixFunction
 from tests.systems.shipped import shipped
 
 UNARY = "exp log sqrt sin cos tan asin acos atan floor ceil fabs sinh cosh tanh asinh acosh atanh log1p expm1 sign"
