@@ -156,7 +156,8 @@ def open_experiment(
         second = np.array([beside.second for beside in besides if beside is not None])
         torus = Torus(speeds, K, second, besides[0].orders, forced is not None)
     kind = LinearMotion if linear_model else NonlinearMotion
-    motion = kind(Equations(model, predicted, kept, p), p, speeds, K, windows, phase, torus)
+    equations = Equations(model, predicted, kept, p, linear=linear_model and not taken)
+    motion = kind(equations, p, speeds, K, windows, phase, torus)
     channels = {channel.name: channel for channel in recording.channels.values()}
     order = [*predicted, *taken]
     columns = np.array([[item.fit.names.index(name) for name in order] for item in found])

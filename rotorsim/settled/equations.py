@@ -64,7 +64,8 @@ class Equations:
 
     Only the states that the outputs depend on are kept, ``kept`` (n,), unless every_state. v: external inputs of the
     model (`inject`, `replace`), zero but for linear equations. p (R, n_p): what is the same in all runs becomes a
-    number, but for entries that vary, and all that follows from it; for other runs see `at`.
+    number, but for entries that vary, and all that follows from it; for other runs see `at`. linear: it is known that
+    they are (`is_linear`).
     """
 
     def __init__(
@@ -76,8 +77,10 @@ class Equations:
         *,
         every_state: bool = False,
         varying: Sequence[int] = (),
+        linear: bool = False,
     ) -> None:
         self.model, self.outputs, self.free = model, tuple(outputs), tuple(free)
+        self._known_linear = linear
         trace = model.trace
         self.slots = [slots_of(model, item) for item in free]
         theta = ca.SX.sym("theta", len(free))
@@ -131,7 +134,7 @@ class Equations:
     @cached_property
     def linear(self) -> bool:
         """Whether f and g are linear in states and inputs, with factors that do not depend on time."""
-        return _is_affine(*self._affine)
+        return self._known_linear or _is_affine(*self._affine)
 
     @cached_property
     def changing(self) -> np.ndarray:
