@@ -80,9 +80,12 @@ def test_every_operation_is_that_of_doubles_to_the_last_bit(lanes: int) -> None:
 
 def test_the_width_is_that_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     macros = {"avx512": "#define __AVX512F__ 1\n#define __AVX__ 1\n", "avx": "#define __AVX__ 1\n"}
+    macros |= {"gcc on Windows": "#define _WIN32 1\n#define __AVX__ 1\n"}
+    macros |= {"clang on Windows": "#define _WIN32 1\n#define __clang__ 1\n#define __AVX__ 1\n"}
     macros |= {"sse": "#define __SSE2__ 1\n", "arm": "#define __ARM_NEON 1\n", "none": ""}
     widths = {}
     for name, text in macros.items():
         monkeypatch.setattr("rotorsim.model.emit.toolchain._instructions", lambda compiler, text=text: text)
         widths[name] = lane_width(Compiler(("cc",), "cc"))
-    assert widths == {"avx512": 8, "avx": 4, "sse": 2, "arm": 2, "none": 1}
+    windows = {"gcc on Windows": 2, "clang on Windows": 4}
+    assert widths == {"avx512": 8, "avx": 4, **windows, "sse": 2, "arm": 2, "none": 1}

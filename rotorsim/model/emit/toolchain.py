@@ -224,10 +224,14 @@ def _instructions(compiler: Compiler) -> str:
 
 
 def lane_width(compiler: Compiler) -> int:
-    """Return how many doubles the vectors of this processor hold, as far as the compiler knows."""
+    """Return how many doubles the vectors of this processor hold, as far as the compiler knows.
+
+    gcc for Windows does not align longer ones than those of SSE2 on the stack (its bug 54412).
+    """
     macros = _instructions(compiler)
     widths = {"__AVX512F__": 8, "__AVX__": 4, "__SSE2__": 2, "__ARM_NEON": 2}
-    return next((width for name, width in widths.items() if f"#define {name} " in macros), 1)
+    width = next((width for name, width in widths.items() if f"#define {name} " in macros), 1)
+    return min(width, 2) if "#define _WIN32 " in macros and "#define __clang__ " not in macros else width
 
 
 def compile_c(source: str, compiler: Compiler, optimise: str = "-O3") -> tuple[ctypes.CDLL, bool]:
