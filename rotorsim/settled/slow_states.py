@@ -14,7 +14,9 @@ ANY, SETTLED, FRESH = 0, 1, 2  # what the mean of a slow state is, see `means_of
 
 LAW = "fault"  # category of blocks that stand for a law, not for a machine
 
-ALL_MODES = 100  # states up to which all modes take less time than those near zero: 2 ms beside 15 ms of 42 states
+ALL_MODES = (
+    80  # states up to which all modes take less time: 2 ms for 42, with the cube of n, beside 15 ms of those near zero
+)
 SLOW_DECAY = 5.0  # a mode that decays by less than e^-5 over the window may still move the mean
 SHIFTED_DECAY = 1e3  # times the bound, to where modes are moved that are known
 NEAREST_MODES = 8  # modes nearest to zero that are looked at first

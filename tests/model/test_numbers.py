@@ -64,7 +64,7 @@ def test_every_operation_is_that_of_doubles_to_the_last_bit(lanes: int) -> None:
     x, y, out = aligned(1, lanes), aligned(1, lanes), aligned(n, lanes)
     one = np.zeros(n)
 
-    @settings(max_examples=200, deadline=None, derandomize=True)
+    @settings(max_examples=100, deadline=None, derandomize=True)
     @given(st.lists(st.tuples(NUMBERS, NUMBERS), min_size=lanes, max_size=lanes))
     def check(pairs: list[tuple[float, float]]) -> None:
         x[0], y[0] = np.array(pairs).T

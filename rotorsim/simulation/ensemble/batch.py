@@ -12,6 +12,7 @@ import numpy as np
 
 from rotorsim.errors import RotorsimError
 from rotorsim.model.emit.toolchain import CompilerError, find_compiler, lane_width
+from rotorsim.model.instance import LARGEST_NUMBER
 from rotorsim.model.lanes import LaneLibrary, Lanes
 from rotorsim.simulation.ensemble.reductions import TOO_STEEP, reduce_rows
 from rotorsim.simulation.ensemble.shared import Setup, recorded_columns
@@ -194,7 +195,9 @@ class Runner:
         if whole:
             with np.errstate(all="ignore"):
                 errors[:] = [_rms_errors(lanes, *stretch) for stretch in saved]
-        return Reached(kept, (lanes.failed == 0) & whole, errors, lanes.x.copy()).first(n)
+        with np.errstate(over="ignore"):
+            within = np.abs(lanes.x).sum(axis=0) <= LARGEST_NUMBER  # which the loop looks at in every eighth step
+        return Reached(kept, (lanes.failed == 0) & within & whole, errors, lanes.x.copy()).first(n)
 
     def _judged(self, reached: Reached, runs: Sequence[Values], p: np.ndarray) -> Outcome:
         """Return how runs ended; those whose verdict is not plain run once more by themselves."""

@@ -19,6 +19,7 @@ from tests.systems.shipped import DIAGRAMS, document, load_document, variant
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 
 STEPS = 400
+LONG = ("fe_flexible", "fe_flexible_runup", "fe_rigid_runup", "rk4", "tum_amb_rotor")  # to compile
 SHIPPED = sorted(file.stem for file in DIAGRAMS.glob("*.json") if file.stem != "diagram.schema")
 SAMPLED = {"type": "discrete_pid", "parameters": {"KP": "12200 A/m", "KI": "2000 A/(m s)", "KD": "3 A s/m"}}
 
@@ -47,7 +48,9 @@ def assert_same(diagram: Diagram, parameters: dict[str, Any], found: Ensemble, *
             assert np.array_equal(values, found["history", name][k]), (name, k)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in SHIPPED]
+)
 def test_shipped_diagrams(name: str) -> None:
     diagram = load(name)
     speeds = [f"{800 + 137 * k} rpm" for k in range(5)]
