@@ -42,9 +42,10 @@ class _Ready(ctypes.Structure):
 
 class _Fmu(ctypes.Structure):
     _fields_ = [
-        *((n, _INT) for n in ("version", "n_x", "n_u", "n_y", "n_z", "n_p", "exact", "timed", "guarded", "n_pairs")),
+        *((n, _INT) for n in ("version", "n_x", "n_u", "n_y", "n_z", "n_p", "timed", "guarded", "n_pairs")),
         ("counts", _INT * 4),
-        *((n, _POINTER) for n in ("set_time", "set_x", "get_xdot", "get_z", "set_real", "get_real", "directional")),
+        *((n, _POINTER) for n in ("set_time", "set_x", "get_xdot", "get_z", "set_real", "get_real")),
+        *((n, _POINTER) for n in ("directional", "adjoint")),
         ("refs", _POINTER * 4),
         *((n, _POINTER) for n in ("u_scales", "y_scales", "nominals", "idle")),
         ("relative", ctypes.c_double),
@@ -133,24 +134,24 @@ class InC:
         relative: float,
         seen: np.ndarray,
         *,
-        exact: bool,
+        offered: Sequence[str],
         timed: bool,
     ) -> None:
         """Take the functions of the library of an instance.
 
         scales: of inputs and outputs, (n, 2); nominals (n_x,); idle (n_u,): inputs of functions that do not follow
         them; relative: step of central differences; seen (n_u + n_z,): gets inputs and event indicators where x' was
-        asked for last.
+        asked for last; offered: which derivatives, directional, adjoint.
         """
         description, made = self.description, self.made
         n_x, n_u, n_y, n_p = len(description.states), len(self.u), len(self.y), self._n_p
         made.n_x, made.n_u, made.n_y, made.n_z, made.n_p = n_x, n_u, n_y, description.n_events, n_p
-        made.exact, made.timed, made.n_pairs = int(exact), int(timed), self._most
+        made.timed, made.n_pairs = int(timed), self._most
         if isinstance(slave.worker, LocalWorker):
-            self._take_functions(slave.worker.session.calls, exact=exact)
+            self._take_functions(slave.worker.session.calls, offered)
         n, m = n_x + n_y, n_x + n_u
-        # raw inputs, two times [x'; y], a point; zeros; a direction, rows, a direction in p
-        work = np.zeros(n_u + 2 * n + m + (n_p + m + 1) + m + n + n_p)
+        # raw inputs, two times [x'; y], a point; zeros; a direction, rows, a direction in p, a gradient
+        work = np.zeros(n_u + 2 * n + m + (n_p + m + 1) + m + n + n_p + m)
         held = [np.array(array, float) for array in (*scales, nominals, idle)]
         self._keep += [work, seen, *held]
         made.u_scales, made.y_scales, made.nominals, made.idle = (array.ctypes.data for array in held)
@@ -160,7 +161,7 @@ class InC:
         made.ready, made.n_ready = ctypes.addressof(self._ready), READY
         self._bound = True
 
-    def _take_functions(self, calls: Calls, *, exact: bool) -> None:
+    def _take_functions(self, calls: Calls, offered: Sequence[str]) -> None:
         """Take the functions of a library that is loaded."""
         description, made = self.description, self.made
         made.version = int(calls.version[0])
@@ -178,7 +179,7 @@ class InC:
             "set_real": f"Set{calls.type_of(FLOATS[0])[0]}",
             "get_real": f"Get{calls.type_of(FLOATS[0])[0]}",
         }
-        wanted |= {"directional": "GetDirectionalDerivative"} if exact else {}
+        wanted |= {kind: f"Get{kind.capitalize()}Derivative" for kind in offered}
         for field, name in wanted.items():
             setattr(made, field, ctypes.cast(calls.function(name), _POINTER).value)
 

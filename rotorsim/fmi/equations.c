@@ -141,15 +141,28 @@ RS_EXPORT void rs_fmu_values(void *context, const double *arguments, double *res
         self->slow(context, arguments, results);
 }
 
-/* Put the derivatives of [x'; y] in a direction of x and u into out, from directional derivatives, else by a central
-   difference over a step that is small beside every entry that moves; return whether all is well. direction: n_x + n_u. */
+/* Put the sums of derivatives of [x'; y], with these weights (scratch), by x and u into out (n_x + n_u), from an adjoint
+   derivative at the point that is set; return whether all is well. */
+static int against(const rs_fmu *f, const rs_instance *i, double *weights, double *out) {
+    const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u;
+    for (int64_t k = 0; k < f->n_y; k++) weights[f->n_x + k] *= f->y_scales[2 * k];
+    if (((along3)f->adjoint)(i->instance, f->refs[2], (size_t)f->counts[2], f->refs[3], (size_t)f->counts[3], weights,
+                             (size_t)n, out, (size_t)m) > 1)
+        return 0;
+    for (int64_t k = 0; k < f->n_u; k++) out[f->n_x + k] /= f->u_scales[2 * k];
+    return 1;
+}
+
+/* Put the derivatives of [x'; y] in a direction of x and u into out, from directional derivatives, else from adjoint ones
+   row by row, else by a central difference over a step that is small beside every entry that moves; return whether all
+   is well. direction: n_x + n_u. */
 static int along_states(const rs_fmu *f, const double *const *part, double *direction, int rates, int outputs,
                         double *out) {
     const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u;
-    double room = INFINITY, *other = out + n;
+    double room = INFINITY, *other = out + n, *moved = other + n;
     const rs_instance *i = ready(f, part[3]);
     if (!i || (f->guarded && *part[0] >= i->due)) return 0;
-    if (f->exact && !i->remote) {
+    if (f->directional && !i->remote) {
         if (set_point(f, i, *part[0], part[1], part[2]) > 1) return 0;
         for (int64_t k = 0; k < f->n_u; k++) direction[f->n_x + k] /= f->u_scales[2 * k];
         const size_t c2 = (size_t)f->counts[2], c3 = (size_t)f->counts[3];
@@ -160,7 +173,16 @@ static int along_states(const rs_fmu *f, const double *const *part, double *dire
         for (int64_t k = 0; k < f->n_y; k++) out[f->n_x + k] *= f->y_scales[2 * k];
         return status <= 1;
     }
-    double *moved = other + n;
+    if (f->adjoint && !i->remote) {
+        if (set_point(f, i, *part[0], part[1], part[2]) > 1) return 0;
+        for (int64_t k = 0; k < n; k++) {
+            for (int64_t j = 0; j < n; j++) other[j] = j == k;
+            if (!against(f, i, other, moved)) return 0;
+            out[k] = 0.0;
+            for (int64_t j = 0; j < m; j++) out[k] += moved[j] * direction[j];
+        }
+        return 1;
+    }
     for (int64_t k = 0; k < m; k++) {
         const double value = k < f->n_x ? part[1][k] : part[2][k - f->n_x];
         const double size = fabs(value) > RS_VANISHED ? fabs(value) : k < f->n_x ? f->nominals[k] : 1.0;
@@ -239,15 +261,27 @@ RS_EXPORT void rs_fmu_reverse(void *context, const double *arguments, double *re
     const rs_fmu *f = self->fmu;
     const int64_t n = f->n_x + f->n_y, m = f->n_x + f->n_u, sizes[4] = {1, f->n_x, f->n_u, f->n_p};
     double *out = f->work + f->n_u, *zeros = out + 2 * n + m, *direction = zeros + f->n_p + m + 1;
-    double *rows = direction + m, *seed = rows + n, *to = results;
+    double *rows = direction + m, *seed = rows + n, *gradient = seed + f->n_p, *to = results;
     const double *part[4];
     const double *weights = parts(self, arguments, part, zeros, f->idle) + self->n_rows;
     int rates, outputs, sound = 1;
     wanted(self, &rates, &outputs);
+    const rs_instance *i = ready(f, part[3]);
+    const int in_xu = (self->groups[1] && self->wanted[1]) || (self->groups[2] && self->wanted[2]);
+    const int at_once = in_xu && f->adjoint && i && !i->remote; /* all of them by one call */
+    if (at_once) {
+        for (int64_t k = 0; k < n; k++) rows[k] = 0.0;
+        for (int64_t k = 0; k < self->n_rows; k++) rows[self->rows[k]] += weights[k];
+        sound = !(f->guarded && *part[0] >= i->due) && set_point(f, i, *part[0], part[1], part[2]) <= 1 &&
+                against(f, i, rows, gradient);
+        for (int64_t k = 0; k < m && sound; k++) sound = isfinite(gradient[k]);
+    }
     for (int g = 0; g < 4 && sound; g++)
         for (int64_t c = 0; self->groups[g] && self->wanted[g] && c < sizes[g] && sound; c++) {
             double sum = 0.0;
-            if (g || f->timed) {
+            if (at_once && (g == 1 || g == 2)) {
+                sum = gradient[c + (g == 2 ? f->n_x : 0)];
+            } else if (g || f->timed) {
                 for (int64_t k = 0; k < m; k++) direction[k] = (g == 1 || g == 2) && k == c + (g == 2 ? f->n_x : 0) ? 1.0 : 0.0;
                 for (int64_t k = 0; k < f->n_p; k++) seed[k] = g == 3 && k == c ? 1.0 : 0.0;
                 sound = (g == 0   ? along_time(f, part, rates, outputs, out)

@@ -4,8 +4,8 @@ x' = f(t, x, u; p),   y = g(t, x, u; p),   x(0) = s(u(0); p)
 
 u: entries of the inputs, p: of the parameters, in SI units; x: the states as the FMU has them. Its fixed parameters can
 be set before it is initialised alone: every p has an instance of its own, and derivatives by p are central differences
-between them. Those by x and u come from its directional derivatives, where it offers them for all, else from central
-differences.
+between them. Those by x and u come from its directional or adjoint derivatives, where it offers them for all, else from
+central differences.
 
 These are equations of one mode, that in which the FMU begins. Where an event would change it, because an indicator
 changes its side or a time event is due, there are none, and that is an error, but for a run that carries events out
@@ -23,6 +23,7 @@ import numpy as np
 
 from rotorsim.errors import Place, RotorsimError
 from rotorsim.fmi.compiled import InC
+from rotorsim.fmi.derivatives import offered_by, right_ones
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.fmi.instances import Instances, Values
 from rotorsim.fmi.runtime.failure import FmuError
@@ -38,7 +39,6 @@ VANISHED = 1e-250  # of a value: as zero, whose relative step would be none (a d
 # In a fit: a search begins with a damping of 1e-4, and takes 10 times as much at every trial that fails; at the sixth
 # its step is shorter by a factor of 11, and one that still gets no answer ends the fit, a minute of TIMEOUT later.
 MOST_HANGS = 6
-CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
 
 
 def size_of(value: float, nominal: float = 1.0) -> float:
@@ -85,7 +85,7 @@ class FmuEquations:
         self._guarded = True
         self.hangs = False  # whether it ever did
         self.seen = np.zeros(self.n_u + description.n_events)  # raw inputs, indicators, where x' was asked for last
-        self._exact, self._checked = self._has_directional(), False
+        self.offered, self._checked = offered_by(description, self.u_names, self.y_names), False
         stated = [entry.variable.nominal for entry in description.resolve(description.states)]
         self.nominals = np.array([abs(value) if value else 1.0 for value in stated], float)
         entries = description.resolve(self.y_names)
@@ -155,40 +155,42 @@ class FmuEquations:
         n_x, n_u = self.n_x, self.n_u
         if not n_x + n_u:
             return np.zeros((n_x + self.n_y, 0))
-        if self._exact:
-            unknowns = [*self.description.derivatives, *(self.y_names[k] for k in self._smooth)]
-            with self._instance(p) as slave:
-                slave.evaluate(t, x, self._u.of_fmu(u))
-                found = slave.jacobian(unknowns, [*self.description.states, *self.u_names])
-            J = np.zeros((n_x + self.n_y, n_x + n_u))
-            J[[*range(n_x), *(n_x + k for k in self._smooth)]] = found
-            J[n_x:] *= self.y_scales[:, :1]
-            J[:, n_x:] /= self.u_scales[:, 0]
-            return np.asarray(J)
+        if self.offered:
+            return self._told(self.offered[0], t, x, u, p)
         point = [np.array([t]), x, u, p]
         columns = [self._column(point, 1, k) for k in range(n_x)] + [self._column(point, 2, k) for k in range(n_u)]
         return np.stack(columns, axis=1)
 
+    def _told(self, kind: str, t: float, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Return the directional, or adjoint, derivatives of x' and y by x and u."""
+        n_x = self.n_x
+        unknowns = [*self.description.derivatives, *(self.y_names[k] for k in self._smooth)]
+        with self._instance(p) as slave:
+            slave.evaluate(t, x, self._u.of_fmu(u))
+            found = slave.jacobian(unknowns, [*self.description.states, *self.u_names], kind)
+        J = np.zeros((n_x + self.n_y, n_x + self.n_u))
+        J[[*range(n_x), *(n_x + k for k in self._smooth)]] = found
+        J[n_x:] *= self.y_scales[:, :1]
+        J[:, n_x:] /= self.u_scales[:, 0]
+        return np.asarray(J)
+
     def _check_derivatives(self, x: np.ndarray, p: np.ndarray) -> None:
-        """Once, where an FMU begins: do without directional derivatives that are not those of its equations."""
-        checked, self._checked = self._checked, True
-        if checked or not self._exact:
+        """Once, where an FMU begins: do without derivatives that it offers and that are not those of its equations."""
+        offered, checked, self._checked = self.offered, self._checked, True
+        if checked or not offered:
             return
-        u = self.idle
-        told = np.full((self.n_x + self.n_y, self.n_x + self.n_u), np.nan)
-        with suppress(RotorsimError):
-            told = self._by_states_and_inputs(0.0, x, u, p)
-        self._exact = False
+        told = {kind: np.full((self.n_x + self.n_y, self.n_x + self.n_u), np.nan) for kind in offered}
+        for kind in offered:
+            with suppress(RotorsimError):
+                told[kind] = self._told(kind, 0.0, x, self.idle, p)
+        self.offered = ()
         try:
-            found = self._by_states_and_inputs(0.0, x, u, p)
+            found = self._by_states_and_inputs(0.0, x, self.idle, p)
         except RotorsimError:  # no differences here, such as beside an event: nothing speaks against them
-            self._exact = True
+            self.offered = offered
             return
-        off = np.abs(told - found)[[*range(self.n_x), *(self.n_x + k for k in self._smooth)]]
-        self._exact = bool((off <= CHECKED * np.abs(found).max(axis=0, initial=0.0)).all())
-        if not self._exact:
-            what = "its directional derivatives are not those of its equations: central differences are taken"
-            remark(self.name, what)
+        rows = [*range(self.n_x), *(self.n_x + k for k in self._smooth)]
+        self.offered = right_ones(self.name, {kind: J[rows] for kind, J in told.items()}, found[rows])
 
     def _column(self, point: Sequence[np.ndarray], group: int, k: int) -> np.ndarray:
         """Return the derivative of x' and y by an entry of t, x, u or p."""
@@ -249,8 +251,9 @@ class FmuEquations:
 
     def _bind(self, slave: Slave) -> None:
         if self.native is not None and not self.native.is_bound:
-            scales, about = (self.u_scales, self.y_scales[self._smooth]), {"exact": self._exact, "timed": self.timed}
-            self.native.bind(slave, scales, self.nominals, self.idle, RELATIVE_STEP, self.seen, **about)
+            scales, values = (self.u_scales, self.y_scales[self._smooth]), (self.nominals, self.idle)
+            step, seen, kinds = RELATIVE_STEP, self.seen, self.offered
+            self.native.bind(slave, scales, *values, step, seen, offered=kinds, timed=self.timed)
 
     # -- instances -----------------------------------------------------------------------------------------------------
 
@@ -386,12 +389,3 @@ class FmuEquations:
         slave = self._slaves.pop(p.tobytes(), None)
         if slave is not None:
             self._free(slave)
-
-    def _has_directional(self) -> bool:
-        description = self.description
-        if not description.kinds["me"].directional_derivatives:
-            return False
-        inputs, outputs = (description.resolve(names) for names in (self.u_names, self.y_names))
-        moving = [entry.variable for entry in outputs if entry.variable.type in FLOATS]
-        shown = all(v.type == FLOATS[0] and v.causality == "output" for v in moving)  # of others FMI has none
-        return shown and all(entry.variable.type == FLOATS[0] for entry in inputs)

@@ -29,15 +29,16 @@ typedef struct {
     rs_instance of;
 } rs_ready;
 
-/* n: states, inputs, outputs, event indicators, parameters. exact: it offers directional derivatives; timed: it may
-   follow the time itself; guarded: an event ends the equations. relative: step of central differences, of a value or
-   else its nominal. Scales (n, 2): SI = factor value + offset. refs: of inputs, outputs, [x'; y] and [x; u], how many of
-   each, which with arrays are fewer than the values. idle: inputs where none are given. seen: inputs, as the FMU has
-   them, and event indicators where x' was asked for last. work: zeros, as many as compiled.py says. */
+/* n: states, inputs, outputs, event indicators, parameters. timed: it may follow the time itself; guarded: an event ends
+   the equations. directional, adjoint: null where it does not offer such derivatives. relative: step of central
+   differences, of a value or else its nominal. Scales (n, 2): SI = factor value + offset. refs: of inputs, outputs,
+   [x'; y] and [x; u], how many of each, which with arrays are fewer than the values. idle: inputs where none are given.
+   seen: inputs, as the FMU has them, and event indicators where x' was asked for last. work: zeros, as many as
+   compiled.py says. */
 typedef struct {
-    int64_t version, n_x, n_u, n_y, n_z, n_p, exact, timed, guarded, n_pairs;
+    int64_t version, n_x, n_u, n_y, n_z, n_p, timed, guarded, n_pairs;
     int64_t counts[4];
-    void *set_time, *set_x, *get_xdot, *get_z, *set_real, *get_real, *directional;
+    void *set_time, *set_x, *get_xdot, *get_z, *set_real, *get_real, *directional, *adjoint;
     const uint32_t *refs[4];
     const double *u_scales, *y_scales, *nominals, *idle;
     double relative;
@@ -64,7 +65,7 @@ typedef int (*real2)(void *, const uint32_t *, size_t, double *);
 typedef int (*real3)(void *, const uint32_t *, size_t, double *, size_t);
 typedef int (*along2)(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *, double *);
 typedef int (*along3)(void *, const uint32_t *, size_t, const uint32_t *, size_t, const double *, size_t, double *,
-                      size_t);
+                      size_t); /* the adjoint ones, too */
 
 static int access_real(const rs_fmu *f, void *function, void *instance, int which, double *values, int64_t n) {
     const uint32_t *refs = f->refs[which];

@@ -7,7 +7,8 @@ from collections import OrderedDict
 import numpy as np
 
 from rotorsim.errors import RotorsimError
-from rotorsim.fmi.equations import CHECKED, KEPT_POINTS, FmuEquations
+from rotorsim.fmi.derivatives import CHECKED
+from rotorsim.fmi.equations import KEPT_POINTS, FmuEquations
 
 # Of the nominal value of a state, and of 1 of an input beside that with which it begins: nominal values are often
 # guessed from units alone. A dead zone, or a limit, of a thousandth of it is met, and a cube that bends by a thousandth

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import zipfile
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,20 @@ from rotorsim.model.load import load
 from tests.cli.conftest import run  # noqa: F401 - a fixture of the command line, here too
 
 Make = Callable[..., Path]
+
+
+def lacking(file: Path, kinds: Iterable[str]) -> Path:
+    """Write a copy of an FMU of FMI 3.0 that does not offer some derivatives, directional or adjoint; return it."""
+    copy = file.with_stem(f"{file.stem}-{''.join(kind[0] for kind in kinds)}")
+    with zipfile.ZipFile(file) as old, zipfile.ZipFile(copy, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            for kind in kinds if name == "modelDescription.xml" else ():
+                flag = f'provides{kind.capitalize()}Derivatives="%s"'.encode()
+                assert flag % b"true" in data
+                data = data.replace(flag % b"true", flag % b"false")
+            new.writestr(name, data)
+    return copy
 
 
 @pytest.fixture(scope="session")

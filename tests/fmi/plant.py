@@ -109,7 +109,10 @@ def floats_only(version: str = "2.0") -> str:
 
 def description3(*, once: bool = False, identifier: str = "plant") -> str:
     """Return the model description of the FMI 3.0 plant, with arrays."""
-    flags = _FLAGS.format(s="State", once=str(once).lower()) + ' providesDirectionalDerivatives="true"'
+    flags = (
+        _FLAGS.format(s="State", once=str(once).lower())
+        + ' providesDirectionalDerivatives="true" providesAdjointDerivatives="true"'
+    )
     two = '<Dimension start="2"/>'
     rows = [
         ("Float64", 0, "time", 'causality="independent" variability="continuous"', ""),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections import OrderedDict
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from rotorsim.model.load import load
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.periodic import periodic
 from rotorsim.simulation.run import simulate
-from tests.fmi.conftest import Make
+from tests.fmi.conftest import Make, lacking
 from tests.fmi.events import alone, events_fmu
 from tests.fmi.plant import FAULTS, floats_only, make_fmu
 
@@ -32,9 +33,15 @@ BOTH = pytest.mark.parametrize("version", ["2.0", "3.0"])
 REPLACED = pytest.mark.parametrize("block", ["rotor", "controller"])
 
 
-def with_fmu(fmu: Make, block: str, version: str = "2.0", *, trust: bool = True, **values: Any) -> Diagram:
-    """Return jeffcott with a block replaced by its FMU, in this process unless the values say otherwise."""
+def with_fmu(
+    fmu: Make, block: str, version: str = "2.0", *, trust: bool = True, lacks: Sequence[str] = (), **values: Any
+) -> Diagram:
+    """Return jeffcott with a block replaced by its FMU, in this process unless the values say otherwise.
+
+    lacks: derivatives that the FMU does not offer.
+    """
     made = fmu("jeffcott", version, blocks=[block])
+    made = lacking(made, lacks) if lacks else made
     document = copy.deepcopy(dict(load("jeffcott").document))
     document["blocks"][block] = {"type": "fmu", "file": str(made), "parameters": {"in_process": True, **values}}
     document["identify"].pop("viscous_damping" if block == "rotor" else "", None)
@@ -86,17 +93,26 @@ def test_where_states_begin_follows_from_parameters(fmu: Make) -> None:
     assert model.x0()[part].tolist() == [1e-5, -2e-5, 0.0, 0.0]
 
 
-@pytest.mark.parametrize("exact", [True, False])
-def test_derivatives_are_those_of_the_plain_equations(fmu: Make, exact: bool) -> None:
-    """By states, time and parameters: directional derivatives of the FMU, or central differences, against the trace."""
-    diagram = with_fmu(fmu, "rotor")
-    functions_of(diagram.nodes["rotor"].block).equations._exact = exact
+@pytest.mark.parametrize("lacks", [(), ("adjoint",), ("directional",), ("directional", "adjoint")])
+@pytest.mark.parametrize("way", ["forward", "reverse"])
+@pytest.mark.parametrize("linear", [False, True])
+@pytest.mark.parametrize("in_process", [False, True])
+def test_derivatives_are_those_of_the_plain_equations(
+    fmu: Make, lacks: tuple[str, ...], way: str, linear: bool, in_process: bool
+) -> None:
+    """By states, time and parameters: derivatives of the FMU, or central differences, against the trace."""
+    diagram = with_fmu(fmu, "rotor", "3.0", lacks=lacks, in_process=in_process, linear=linear)
+    offered = tuple(kind for kind in ("directional", "adjoint") if kind not in lacks)
+    assert functions_of(diagram.nodes["rotor"].block).equations.offered == offered
+    ad = {f"ad_weight{end}": float(way == "reverse") for end in ("", "_sp")}
     found = []
     for model in (compile_diagram(load("jeffcott")), compile_diagram(diagram)):
         t, x, z, p = model.trace.t, model.trace.x, model.trace.z, model.trace.p
-        own = p[model.parameters["rotor.mass"]]
-        J = ca.Function("J", [t, x, z, p], [ca.jacobian(model.trace.xdot, ca.vertcat(x, t, own))])
-        found.append(np.array(J(0.01, 1e-5 * np.arange(1, model.n_x + 1), model.z0(), model.p0)))
+        by = ca.vertcat(x, t, p[model.parameters["rotor.mass"]])
+        function = MatrixFunction([t, x, z, p], ca.jacobian(model.trace.xdot, by, {"helper_options": ad}))
+        for _ in range(2):  # the second time without Python, by instances that the first has made
+            J = function(0.01, 1e-5 * np.arange(1, model.n_x + 1), model.z0(), model.p0)
+        found.append(J)
     np.testing.assert_allclose(found[1], found[0], rtol=1e-6, atol=1e-6 * np.abs(found[0]).max(axis=0).min())
 
 
@@ -239,7 +255,7 @@ def test_an_fmu_that_nothing_is_wired_to_needs_consent_too(plants: Path) -> None
 def test_variables_inside_have_derivatives(
     plants: Path, version: str, in_process: bool, signal: str, right: Any
 ) -> None:
-    """FMI has no directional derivatives of those that are no outputs: states, derivatives."""
+    """FMI offers no derivatives of those that are no outputs: states, derivatives."""
     document = {**of_plant(plants, version, in_process=in_process).document, "record": [f"it.{signal}"]}
     model = compile_diagram(load(document, folder=plants, trust_blocks=True))
     y = model.expression(f"it.{signal}")[0]
@@ -250,15 +266,24 @@ def test_variables_inside_have_derivatives(
     np.testing.assert_allclose(found, right, atol=1e-6)
 
 
-def test_derivatives_that_are_not_those_of_the_equations_are_not_used(fmu: Make, monkeypatch: Any) -> None:
-    monkeypatch.setattr(Slave, "jacobian", lambda self, of, by: np.zeros((len(of), len(by))))
+@pytest.mark.parametrize("wrong", [("directional",), ("adjoint",), ("directional", "adjoint")])
+def test_derivatives_that_are_not_those_of_the_equations_are_not_used(
+    fmu: Make, monkeypatch: Any, wrong: tuple[str, ...]
+) -> None:
+    own = Slave.jacobian
+    monkeypatch.setattr(
+        Slave, "jacobian", lambda self, of, by, kind: own(self, of, by, kind) * (0.99 if kind in wrong else 1)
+    )
     equations = copy.copy(functions_of(with_fmu(fmu, "rotor", "3.0").nodes["rotor"].block).equations)
     equations._slaves, equations._modes, equations._begun = OrderedDict(), {}, {}
-    equations._exact, equations._checked, equations.native = True, False, None
-    said = "its directional derivatives are not those of its equations: central differences are taken"
-    with pytest.warns(RuntimeWarning, match=said):
+    equations.offered, equations._checked, equations.native = ("directional", "adjoint"), False, None
+    instead = {"directional": "the adjoint ones", "adjoint": "the directional ones"}
+    taken = "central differences" if len(wrong) == 2 else instead[wrong[0]]
+    with pytest.warns(RuntimeWarning) as caught:
         equations.rates(0.0, np.zeros(4), np.zeros(2), equations._p.starts)
-    assert not equations._exact
+    said = [str(one.message).removeprefix("rotor: ") for one in caught]
+    assert said == [f"its {kind} derivatives are not those of its equations: {taken} are taken" for kind in wrong]
+    assert equations.offered == tuple(kind for kind in ("directional", "adjoint") if kind not in wrong)
 
 
 @pytest.mark.parametrize("method", ["rk4", "dop853"])

@@ -56,6 +56,7 @@ def _kind(kind: Kind) -> dict[str, Any]:
         "get_set_state": kind.can_get_set_state,
         "serialise_state": kind.can_serialise_state,
         "directional_derivatives": kind.directional_derivatives,
+        "adjoint_derivatives": kind.adjoint_derivatives,
         "once_per_process": kind.once_per_process,
         "needs_tool": kind.needs_tool,
     }

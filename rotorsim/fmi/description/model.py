@@ -160,6 +160,7 @@ class Kind:
     can_get_set_state: bool = False
     can_serialise_state: bool = False
     directional_derivatives: bool = False
+    adjoint_derivatives: bool = False  # FMI 3.0
     once_per_process: bool = False
     needs_tool: bool = False
     can_vary_step: bool = False  # cs

@@ -116,6 +116,7 @@ def _kind(name: str, element: Element, two: bool, mistakes: Mistakes) -> Kind:
         can_get_set_state=read.flag(f"canGetAndSet{state}"),
         can_serialise_state=read.flag(f"canSerialize{state}"),
         directional_derivatives=read.flag(f"providesDirectional{derivatives}"),
+        adjoint_derivatives=not two and read.flag("providesAdjointDerivatives"),
         once_per_process=read.flag("canBeInstantiatedOnlyOncePerProcess"),
         needs_tool=read.flag("needsExecutionTool"),
         can_vary_step=read.flag("canHandleVariableCommunicationStepSize"),

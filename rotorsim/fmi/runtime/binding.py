@@ -94,6 +94,7 @@ _SIGNATURES = {
         "GetContinuousStateDerivatives": "cpn",
         "DoStep": "cddbpppp",
         "GetDirectionalDerivative": "cpnpnpnpn",
+        "GetAdjointDerivative": "cpnpnpnpn",
         "GetOutputDerivatives": "cpnppn",
         "GetNumberOfEventIndicators": "cp",
         "GetNumberOfContinuousStates": "cp",

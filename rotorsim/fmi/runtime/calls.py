@@ -33,6 +33,7 @@ FUNCTIONS = (
     "SetInputDerivatives",
     "GetOutputDerivatives",
     "GetDirectionalDerivative",
+    "GetAdjointDerivative",
     "GetFMUState",
     "SetFMUState",
     "FreeFMUState",

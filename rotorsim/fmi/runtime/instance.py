@@ -150,29 +150,34 @@ class Instance:
 
     def directional(self, unknowns: Sequence[str], knowns: Sequence[str], seed: np.ndarray) -> np.ndarray:
         """Return the derivatives (n_unknowns,) of the unknowns in the direction ``seed`` (n_knowns,) of the knowns."""
-        found: np.ndarray = self._directional(unknowns, knowns, np.atleast_2d(np.asarray(seed, float)))[0]
-        return found
+        return self._derivatives("directional", unknowns, knowns, np.atleast_2d(np.asarray(seed, float))).ravel()
 
-    def jacobian(self, unknowns: Sequence[str], knowns: Sequence[str]) -> np.ndarray:
-        """Return the derivatives (n_unknowns, n_knowns) of the unknowns by the knowns."""
-        return self._directional(unknowns, knowns, None).T
+    def jacobian(self, unknowns: Sequence[str], knowns: Sequence[str], kind: str = "directional") -> np.ndarray:
+        """Return the derivatives (n_unknowns, n_knowns) of the unknowns by the knowns.
 
-    def _directional(self, unknowns: Sequence[str], knowns: Sequence[str], seeds: np.ndarray | None) -> np.ndarray:
+        kind: directional, a call for each known, or adjoint, one for each unknown.
+        """
+        found = self._derivatives(kind, unknowns, knowns, None)
+        return found.T if kind == "directional" else found
+
+    def _derivatives(
+        self, kind: str, unknowns: Sequence[str], knowns: Sequence[str], seeds: np.ndarray | None
+    ) -> np.ndarray:
         """Return one row for each row of seeds; None: the unit vectors."""
-        if not self.description.kinds[self.kind].directional_derivatives:
-            raise self._refused("offers no directional derivatives")
+        if not getattr(self.description.kinds[self.kind], f"{kind}_derivatives"):
+            raise self._refused(f"offers no {kind} derivatives")
         of, by = (make_runs(self.description.resolve(names), "float") for names in (unknowns, knowns))
         if len({run["type"] for run in (*of, *by)}) > 1 or len(of) != 1 or len(by) != 1:
-            raise self._refused("directional derivatives are of variables of one type by variables of one type")
-        inside = np.arange(by[0]["n"]) if by[0]["index"] is None else np.array(by[0]["index"])
+            raise self._refused(f"{kind} derivatives are of variables of one type by variables of one type")
+        here, there = (by[0], of[0]) if kind == "directional" else (of[0], by[0])  # what seeds, and results, belong to
+        inside = np.arange(here["n"]) if here["index"] is None else np.array(here["index"])
         given = np.eye(len(inside)) if seeds is None else seeds
-        whole = np.zeros((len(given), by[0]["n"]))
+        whole = np.zeros((len(given), here["n"]))
         whole[:, inside] = given
-        answer = self.command(
-            "directional", unknowns=of[0]["refs"], knowns=by[0]["refs"], seeds=whole.tolist(), n=of[0]["n"]
-        )
+        arguments = {"unknowns": of[0]["refs"], "knowns": by[0]["refs"], "seeds": whole.tolist(), "n": there["n"]}
+        answer = self.command("derivatives", function=f"Get{kind.capitalize()}Derivative", **arguments)
         found = np.array(answer["values"], float)
-        return found if of[0]["index"] is None else found[:, of[0]["index"]]
+        return found if there["index"] is None else found[:, there["index"]]
 
     def save_state(self) -> int:
         """Return a handle of the whole state of the instance."""

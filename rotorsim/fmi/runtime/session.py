@@ -41,7 +41,7 @@ class Session:
             "log": lambda: {"log": self.calls.log.taken(), "counts": dict(self.calls.log.counts)},
             "get": lambda run: {"values": self.calls.get(run)},
             "set": self._set,
-            "directional": self._directional,
+            "derivatives": self._derivatives,
             "output_derivatives": self._output_derivatives,
             "save": self._save,
             "restore": lambda handle: self.calls.call("SetFMUState", self._saved(handle)),
@@ -187,15 +187,15 @@ class Session:
 
     # -- values --------------------------------------------------------------------------------------------------------
 
-    def _directional(
-        self, unknowns: Sequence[int], knowns: Sequence[int], seeds: Sequence[Sequence[float]], n: int
+    def _derivatives(
+        self, function: str, unknowns: Sequence[int], knowns: Sequence[int], seeds: Sequence[Sequence[float]], n: int
     ) -> dict[str, Any]:
         of, by, found = references(unknowns), references(knowns), (ctypes.c_double * n)()
         rows = []
         for seed in seeds:
             given = (ctypes.c_double * len(seed))(*seed)
             arrays = self.calls.sized((address(given), len(seed)), (address(found), n))
-            self.calls.call("GetDirectionalDerivative", address(of), len(of), address(by), len(by), *arrays)
+            self.calls.call(function, address(of), len(of), address(by), len(by), *arrays)
             rows.append(list(found))
         return {"values": rows}
 

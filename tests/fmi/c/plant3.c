@@ -123,6 +123,15 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference
                 out[N * i + k] += seed[N * j + k] * slope_by(P, of[i], by[j]);
     return fmi3OK;
 }
+fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference of[], size_t n,
+        const fmi3ValueReference by[], size_t m, const fmi3Float64 seed[], size_t ns, fmi3Float64 out[], size_t no) {
+    for (size_t k = 0; k < no; k++) out[k] = 0.0;
+    for (size_t i = 0; i < n; i++)
+        for (size_t j = 0; j < m; j++)
+            for (int k = 0; k < N; k++)
+                out[N * j + k] += seed[N * i + k] * slope_by(P, of[i], by[j]);
+    return fmi3OK;
+}
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *more, fmi3Boolean *end, fmi3Boolean *nominals,
         fmi3Boolean *states, fmi3Boolean *defined, fmi3Float64 *next) {
     tick(P);

@@ -151,6 +151,8 @@ def test_directional_derivatives(fmu: Fmu) -> None:
         assert slave.jacobian(["der(v)"], ["x"]).tolist() == [[-100, 0], [0, -100]]
         assert slave.jacobian(["der(v)[2]"], ["u[2]", "u[1]"]).tolist() == [[1, 0]]
         assert slave.directional(["der(v)"], ["v"], np.array([2.0, 4.0])).tolist() == [-1.0, -2.0]
+        assert slave.jacobian(["der(v)"], ["x"], "adjoint").tolist() == [[-100, 0], [0, -100]]
+        assert slave.jacobian(["der(v)[2]"], ["u[2]", "u[1]"], "adjoint").tolist() == [[1, 0]]
 
 
 def test_derivatives_of_outputs_and_inputs(fmu: Fmu) -> None:
