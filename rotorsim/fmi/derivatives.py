@@ -9,7 +9,7 @@ import numpy as np
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.model.heard import remark
 
-KINDS = "directional", "adjoint"  # in the order in which a Jacobian takes them
+OFFERED = "directional", "adjoint"  # in the order in which a Jacobian takes them
 CHECKED = 1e-3  # of a column: far above the error of differences, far below a derivative that was forgotten
 
 
@@ -19,7 +19,7 @@ def offered_by(description: ModelDescription, inputs: Sequence[str], outputs: Se
     shown = all(v.type == FLOATS[0] and v.causality == "output" for v in moving)  # of others FMI has none
     if not shown or any(entry.variable.type != FLOATS[0] for entry in description.resolve(inputs)):
         return ()
-    return tuple(kind for kind in KINDS if getattr(description.kinds["me"], f"{kind}_derivatives"))
+    return tuple(kind for kind in OFFERED if getattr(description.kinds["me"], f"{kind}_derivatives"))
 
 
 def right_ones(block: str, told: Mapping[str, np.ndarray], found: np.ndarray) -> tuple[str, ...]:
