@@ -21,6 +21,7 @@ from rotorsim.fmi.runtime.runs import make_runs
 from rotorsim.model.part import Part
 
 NESTED = "export the others by --block: what comes from it becomes an input"
+SYSTEM = "get it for Model Exchange, too, or `rotorsim ssp export`, which takes it as it is"
 FOLDER = "fmus"  # in resources/
 _LARGEST = 2 << 30  # bytes of one file
 _LEFT_OUT = ("sources/", "documentation/")
@@ -100,7 +101,7 @@ def _why_not(block: Any) -> tuple[str, str]:
     if what:
         cosim = "is an FMU for Co-Simulation, which is not carried inside another"
         return (
-            (cosim, f"{hint.rpartition(';')[0] or 'get it for Model Exchange, too'}; or {NESTED}")
+            (cosim, f"{hint.rpartition(';')[0] or SYSTEM}; or {NESTED}")
             if ("Co-Simulation, which hides" in what)
             else (what, NESTED)
         )
