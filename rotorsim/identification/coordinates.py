@@ -126,10 +126,11 @@ def amplitude_pairs(
             np.repeat(row, many, 0), changed, instants(np.repeat(speed, many), TURN_INSTANTS)
         )
 
+    rows = equations.whole.moved_at_rest()
     pairs: list[tuple[int, int]] = []
     for b in angles:
         for a in amplitudes:
-            if any(a in pair for pair in pairs):
+            if any(a in pair for pair in pairs) or not rows[:, b].any() or (rows[:, b] & ~rows[:, a]).any():
                 continue
             unit = 3.0 * _scale(free[a])
             none, turned, cosine, sine, *probes = forces(

@@ -79,10 +79,12 @@ class Likelihood:
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
         motion = experiment.motion
-        self.K, self.rounds = motion.K, motion.corrections + 1
+        self.K = motion.K
         self.beside = len(experiment.beside_orders)
         self.orders = self.K + 1 + self.beside
         self.c, self.V = len(experiment.predicted), len(experiment.given)
+        self._shifts = motion.is_linear and not self.V  # the residual is the same at all slow means
+        self.rounds = 1 if self._shifts else motion.corrections + 1
         if self.V and not motion.is_linear:
             what, hint = "a nonlinear diagram takes no measured inputs", "leave out --measured-input"
             raise RotorsimError(Problem(what, experiment.diagram.name, hint=hint))
@@ -127,17 +129,17 @@ class Likelihood:
             Y = self._padded(prediction.Y)
             turn = self._turned(Y)
             Y = Y * turn[:, :, None]
-            e = [
-                data - own
-                for data, own in zip(self.data_rows, self._white(np.concatenate([Y, inputs], axis=2)), strict=True)
-            ]
-            runs = [self._profiled(prediction, r, Y[r], e[r], fresh[r].places) for r in range(len(e))]
+            rows = real_vector(np.concatenate([Y, inputs], axis=2))
+            runs = [self._profiled(prediction, r, Y[r], own, fresh[r].places) for r, own in enumerate(rows)]
             still = all(np.linalg.norm(run.gain) <= tolerance * np.linalg.norm(run.residual) for run in runs)
             if still or not prediction.settled.all():
                 break
             means = [own + run.means for own, run in zip(means, runs, strict=True)]
             inputs = inputs + np.array([run.inputs for run in runs])
-        if prediction.settled.all() and not motion.is_linear:
+        if self._shifts:
+            prediction = motion.predict(theta, [run.means for run in runs])
+            Y = self._padded(prediction.Y) * turn[:, :, None]
+        elif prediction.settled.all():
             self._means = means
         derivatives = prediction.sensitivity()
         for r, known in enumerate(fresh):
@@ -213,7 +215,13 @@ class Likelihood:
     def nuisances(
         self, prediction: Prediction, r: int, Y: np.ndarray, known: Sequence[int] | np.ndarray = ()
     ) -> np.ndarray:
-        """Return the whitened columns of the nuisances of run r at outputs Y (orders, c).
+        """Return the whitened columns of the nuisances of run r at outputs Y (orders, c), see `_nuisances`."""
+        return self.whiteners[r].apply(self._nuisances(prediction, r, Y, known))
+
+    def _nuisances(
+        self, prediction: Prediction, r: int, Y: np.ndarray, known: Sequence[int] | np.ndarray = ()
+    ) -> np.ndarray:
+        """Return the columns (all, j) of the nuisances of run r at outputs Y (orders, c).
 
         First the means of slow states but for the known ones, then inputs, order by order, real and imaginary part
         (the mean: real), then the phase of the lines beside the harmonics.
@@ -233,14 +241,19 @@ class Likelihood:
             phase = np.zeros((1, *columns.shape[1:]), complex)
             phase[0, self.K + 1 :, : self.c] = 1j * Y[self.K + 1 :]
             columns = np.concatenate([columns, phase])
-        if not len(columns):
-            return np.zeros((len(self.keep), 0))
-        return self.whiteners[r].apply(real_vector(columns).T)
+        return real_vector(columns).T if len(columns) else np.zeros(((2 * self.orders - 1) * (self.c + self.V), 0))
 
-    def _profiled(self, prediction: Prediction, r: int, Y: np.ndarray, e: np.ndarray, known: np.ndarray) -> _Profiled:
-        """Return a run whose residual e (n,) has its nuisances taken off; known: slow states whose means are given."""
+    def _profiled(
+        self, prediction: Prediction, r: int, Y: np.ndarray, rows: np.ndarray, known: np.ndarray
+    ) -> _Profiled:
+        """Return run r without its nuisances, at outputs Y (orders, c), in rows (all,) with the inputs.
+
+        known: slow states whose means are given.
+        """
         means, inputs = np.zeros(prediction.by_means[r].shape[-1]), np.zeros((self.orders, self.V), complex)
-        columns = self.nuisances(prediction, r, Y, known)
+        columns = np.column_stack([rows, self._nuisances(prediction, r, Y, known)])
+        whitened = self.whiteners[r].apply(columns)
+        e, columns = self.data_rows[r] - whitened[:, 0], whitened[:, 1:]
         if not columns.shape[1] or not prediction.settled[r]:
             return _Profiled(e, np.zeros((len(e), 0)), means, inputs, np.zeros(0))
         base, best = _best_factors(columns, e)

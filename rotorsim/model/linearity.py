@@ -12,27 +12,34 @@ import casadi as ca
 from rotorsim.model.called import called_with
 
 _SUMS = (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_TWICE, ca.OP_ASSIGN)
+_PRODUCTS = (ca.OP_MUL, ca.OP_DIV, ca.OP_IF_ELSE_ZERO)
 
 
-def is_affine(of: Any, by: Any) -> bool:
-    """Return whether an expression is a + B by with a and B independent of the symbols ``by``."""
-    others = [symbol for symbol in ca.symvar(ca.SX(of)) if not ca.depends_on(symbol, by)]
-    function = ca.Function("f", [by, ca.vertcat(*others)], [of])
-    moves = [False] * function.sz_w()
+def is_affine(of: Any, by: Any, beside: Any = None) -> bool:
+    """Return whether an expression is a + B by with a and B independent of the symbols ``by``, B also of ``beside``."""
+    beside = ca.SX(0, 1) if beside is None else beside
+    known = _hashes(ca.vertcat(by, beside))
+    others = [symbol for symbol in ca.symvar(ca.SX(of)) if symbol.element_hash() not in known]
+    function = ca.Function("f", [by, beside, ca.vertcat(*others)], [of])
+    moves = [False] * function.sz_w()  # with ``by``
+    varies = [False] * function.sz_w()  # with either
     for k in range(function.n_instructions()):
         op, given, to = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
         if op == ca.OP_OUTPUT:
             continue
         if op in (ca.OP_INPUT, ca.OP_CONST):
             moves[to[0]] = op == ca.OP_INPUT and given[0] == 0
+            varies[to[0]] = op == ca.OP_INPUT and given[0] <= 1
             continue
-        held = [moves[place] for place in given]
-        product = op == ca.OP_MUL and not all(held)
-        factor = (op == ca.OP_DIV and not held[-1]) or (op == ca.OP_IF_ELSE_ZERO and not held[0])
-        if any(held) and not (op in _SUMS or product or factor):
-            return False
+        moved = any(moves[place] for place in given)
+        if moved and op not in _SUMS:
+            second = op == ca.OP_IF_ELSE_ZERO or (op == ca.OP_MUL and moves[given[-1]])
+            factors = given[:1] if second else given[1:]
+            if op not in _PRODUCTS or any(varies[place] for place in factors):
+                return False
+        varied = any(varies[place] for place in given)
         for place in (place for place in to if place >= 0):
-            moves[place] = any(held)
+            moves[place], varies[place] = moved, varied
     return True
 
 
@@ -48,6 +55,15 @@ def jacobian(of: Any, by: Any) -> Any:
     others = [symbol for symbol in ca.symvar(of) if symbol.element_hash() not in own]
     rest, symbols, values = ca.extract_parametric(ca.cse(of), ca.vertcat(ca.SX(0, 1), *others))
     return ca.substitute([ca.jacobian(rest, by)], symbols, values)[0]
+
+
+def pattern(of: Any, by: Any) -> ca.Sparsity:
+    """Return where `jacobian` may have entries that are not zero."""
+    of = ca.SX(of)
+    if ca.Function("f", ca.symvar(of), [of]).get_function():
+        return ca.Sparsity(jacobian(of, by).sparsity())
+    found: ca.Sparsity = ca.jacobian_sparsity(of, by)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,8 @@ from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compile
 from rotorsim.model.emit.writer import Writer, array_leaf, call_table, called_functions
 
 POINTS_AT_A_TIME = 4096  # points at a time: what is on the way fits into the cache of a processor
-MANY_POINTS = 128  # NumPy takes 0.8 us for an operation at a few, the virtual machine 0.01 us at each
+MANY_POINTS = 128  # NumPy takes 1 us for an operation at a few, the virtual machine 0.008 us at each
+WORTH_PREPARING = 800  # points of such calls: to prepare an operation for NumPy takes 5 us
 WORTH_COMPILING = 10_000  # calls of parts by the virtual machine, each by way of Python: as long as a compilation takes
 
 
@@ -33,6 +34,7 @@ class MatrixFunction:
         self._sizes = [argument.numel() for argument in arguments]
         self._mapped: dict[tuple[int, tuple[int, ...]], Any] = {}
         self._calls = 0  # of parts whose equations are elsewhere, by the virtual machine
+        self._points = 0  # of calls with many of them
 
     @cached_property
     def _expression(self) -> Any:
@@ -94,7 +96,8 @@ class MatrixFunction:
 
     def _nonzeros(self, n: int, columns: tuple[Any, ...]) -> np.ndarray:
         """Return the nonzeros, (n, nnz); CasADi reads and writes the arrays' own memory, which lie column by column."""
-        if n >= MANY_POINTS and self._by_arrays is not None:
+        self._points += n if n >= MANY_POINTS else 0
+        if n >= MANY_POINTS and self._points > WORTH_PREPARING and self._by_arrays is not None:
             return self._at_arrays(n, columns)
         given = [np.ascontiguousarray(np.transpose(c), float).reshape(-1, k) for c, k in self._paired(columns)]
         if self._steady is not None:
@@ -131,7 +134,7 @@ class MatrixFunction:
             for first in range(0, n, POINTS_AT_A_TIME):
                 some = slice(first, first + POINTS_AT_A_TIME)
                 parts = [array[:, some] if array.shape[1:] == (n,) else array.ravel() for array in given]
-                self._by_arrays(*parts, out[:, some])
+                self._by_arrays(*parts, out=out[:, some])
         return out.T
 
     @cached_property

@@ -13,7 +13,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Free
 from rotorsim.linear.state_space import reached
 from rotorsim.model.compiled import Model
-from rotorsim.model.linearity import is_affine, jacobian
+from rotorsim.model.linearity import is_affine, jacobian, pattern
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.slow_states import means_of
 
@@ -30,10 +30,7 @@ def is_linear(model: Model, outputs: Sequence[str]) -> bool:
 
 def _is_affine(model: Model, f: Any, g: Any) -> bool:
     trace = model.trace
-    varying = ca.vertcat(trace.x, trace.t, trace.v)
-    if not is_affine(ca.vertcat(f, g), ca.vertcat(trace.x, trace.v)):
-        return False
-    return not any(ca.depends_on(jacobian(of, by), varying) for of in (f, g) for by in (trace.x, trace.v))
+    return is_affine(ca.vertcat(f, g), ca.vertcat(trace.x, trace.v), trace.t)
 
 
 def without_inputs(model: Model, expression: Any) -> Any:
@@ -81,6 +78,7 @@ class Equations:
     ) -> None:
         self.model, self.outputs, self.free = model, tuple(outputs), tuple(free)
         self._known_linear = linear
+        self._moved: tuple[tuple[bytes, bytes], np.ndarray] | None = None
         trace = model.trace
         self.slots = [slots_of(model, item) for item in free]
         theta = ca.SX.sym("theta", len(free))
@@ -92,7 +90,7 @@ class Equations:
         f, g = ca.substitute(with_inputs, [trace.v], [ca.SX.zeros(*trace.v.shape)])
         self.kept = np.arange(model.n_x)
         if not every_state:
-            self.kept = reached_states(jacobian(f, trace.x).sparsity(), jacobian(g, trace.x).sparsity())
+            self.kept = reached_states(pattern(f, trace.x), pattern(g, trace.x))
         keep = self.kept.tolist()
         x = ca.SX.sym("x", len(keep))
         whole: Any = ca.SX(model.x0(model.p0))
@@ -145,6 +143,12 @@ class Equations:
 
     def moved_by(self, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """Return which parameters change the equations themselves, not only their forcing, (m,); p (1, n_p)."""
+        key = p.tobytes(), theta.tobytes()
+        if self._moved is None or self._moved[0] != key:
+            self._moved = key, self._moved_by(p, theta)
+        return self._moved[1]
+
+    def _moved_by(self, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
         part = self.whole
         if self.linear:
             moved = [matrix(p, theta[None])[1].reshape(-1, self.m).any(axis=0) for matrix in part.matrices.values()]
@@ -158,8 +162,9 @@ class Equations:
         x = ca.SX.sym("x", len(c))
         full: Any = ca.SX.zeros(self.n)
         full[c] = x
-        f, g = ca.substitute([part.rates[r], part.outputs], [part.x], [full])
-        return PortEquations(part.symbols, x, f, g, part.df_dv[r, :], part.dg_dv)
+        of = [part.rates[r], part.outputs, part.df_dx[r, c], part.dg_dx[:, c]]
+        f, g, *slopes = ca.substitute(of, [part.x], [full])
+        return PortEquations(part.symbols, x, f, g, part.df_dv[r, :], part.dg_dv, slopes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,9 +191,13 @@ class PortEquations:
     linear equations, dx/dt = A x + B v + f(t), y = C x + D v + g(t), as functions of p and theta.
     """
 
-    def __init__(self, symbols: tuple[Any, Any, Any], x: Any, f: Any, g: Any, B: Any, D: Any) -> None:
+    def __init__(
+        self, symbols: tuple[Any, Any, Any], x: Any, f: Any, g: Any, B: Any, D: Any, slopes: Sequence[Any] = ()
+    ) -> None:
+        """slopes: df/dx and dg/dx, where they are known."""
         self.symbols, self.x, self.rates, self.outputs = symbols, x, f, g
-        self.df_dx, self.dg_dx, self.df_dv, self.dg_dv = jacobian(f, x), jacobian(g, x), B, D
+        self.df_dx, self.dg_dx = slopes or (jacobian(f, x), jacobian(g, x))
+        self.df_dv, self.dg_dv = B, D
         self.r, self.n, self.c, self.m = f.numel(), x.numel(), g.numel(), symbols[2].numel()
         self.samples = FIRST_SAMPLES
         t, p, theta = symbols
@@ -217,12 +226,23 @@ class PortEquations:
             made[key] = _Matrix(MatrixFunction([p, theta], matrix), derivative)
         return made
 
+    def values(self, key: str, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """Return a matrix of linear equations, (R, rows, columns), for p (R, n_p) and one theta (m,)."""
+        return self.matrices[key].value(p.T, np.repeat(theta[None], len(p), 0).T)
+
     @cached_property
     def _at_rest(self) -> list[tuple[MatrixFunction, MatrixFunction]]:
-        zero = ca.SX.zeros(*self.x.shape)
-        rest = ca.substitute([self.rates, self.outputs], [self.x], [zero])
         theta = self.symbols[2]
-        return [tuple(MatrixFunction(self.symbols, e) for e in (at, jacobian(at, theta))) for at in rest]  # type: ignore[misc]
+        return [tuple(MatrixFunction(self.symbols, e) for e in (at, jacobian(at, theta))) for at in self._rest]  # type: ignore[misc]
+
+    def moved_at_rest(self) -> np.ndarray:
+        """Return which of [f; g] at rest each parameter may move, (r + c, m)."""
+        rows = [np.array(ca.DM(pattern(at, self.symbols[2]), 1.0)) != 0 for at in self._rest]
+        return np.concatenate(rows)
+
+    @cached_property
+    def _rest(self) -> list[Any]:
+        return list(ca.substitute([self.rates, self.outputs], [self.x], [ca.SX.zeros(*self.x.shape)]))
 
     def at_rest(self, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Return [f; g] at rest at times (R, N), for p (R, n_p), theta (R, m): (R, N, r + c)."""

@@ -225,7 +225,7 @@ class LinearMotion(SettledMotion):
 
     def growth(self, theta: np.ndarray) -> np.ndarray:
         """Return the largest real part of an eigenvalue of A of every run, (R,)."""
-        A = self.response(theta, forced=False).A
+        A = self.equations.whole.values("A", self.p, theta)
         return np.asarray(np.linalg.eigvals(A).real.max(axis=1, initial=-np.inf))
 
     def response(self, theta: np.ndarray, K: int | None = None, *, forced: bool = True) -> Response:
@@ -238,7 +238,7 @@ class LinearMotion(SettledMotion):
     def slow_states(self, theta: np.ndarray) -> list[np.ndarray]:
         """Return the slow states of each run, as they are at the first theta (m,)."""
         if self.slow is None:
-            A = self.equations.whole.matrices["A"](self.p, np.repeat(theta[None], len(self.p), 0))[0]
+            A = self.equations.whole.values("A", self.p, theta)
             runs = zip(A, self.windows, strict=True)
             self.slow = [slow_states(matrix, window, self.equations.means) for matrix, window in runs]
         return self.slow
@@ -282,20 +282,22 @@ class LinearMotion(SettledMotion):
 
     def open_ports(self, theta: np.ndarray) -> tuple[Ports, PortEquations]:
         """Return the ports of all that no parameter moves, and the equations there, seen about theta (m,)."""
-        whole, part, p = self.response(theta, forced=False), self.equations.whole, self.p
+        part, p = self.equations.whole, self.p
+        A, C = (part.values(key, p, theta) for key in "AC")
         many = np.repeat(theta[None], len(p), 0)
         samples = part.sampled(p, many, instants(self.speeds, SAMPLES))
         moved = [_columns(np.moveaxis(values[:, :, : part.r], 2, 1)) for values in samples]
-        columns = [np.any(whole.C, axis=(0, 1))]
+        columns = [np.any(C, axis=(0, 1))]
         rng = np.random.default_rng(0)
         for _ in range(PARAMETER_POINTS):
             other = theta * (1 + PARAMETER_SPREAD * rng.uniform(-1, 1, len(theta))) + PARAMETER_SPREAD * (theta == 0)
             many = np.repeat(other[None], len(p), 0)
-            (A, dA), (B, _), (C, _) = (part.matrices[key](p, many) for key in "ABC")
-            columns += [np.any(matrix, axis=(0, 1)) for matrix in (A - whole.A, np.any(dA, axis=3), C)]
+            A_there, dA = part.matrices["A"](p, many)
+            B, C = (part.values(key, p, other) for key in "BC")
+            columns += [np.any(matrix, axis=(0, 1)) for matrix in (A_there - A, np.any(dA, axis=3), C)]
             moved += [_columns(matrix) for matrix in (B, dA)]
         seen = np.flatnonzero(np.any(columns, axis=0))
-        ports = open_ports(whole.A, self.grid(self.K), self.slow_states(theta), seen, moved)
+        ports = open_ports(A, self.grid(self.K), self.slow_states(theta), seen, moved)
         return ports, self.equations.at_ports(ports.rows, ports.columns)
 
     def grid(self, K: int) -> np.ndarray:

@@ -184,23 +184,30 @@ class NonlinearMotion(SettledMotion):
         safe = np.where(np.isfinite(X), X, 0.0)
         points = self._points(samples_of(safe, count), theta)
         C = inner.C(*points).reshape(R, count, inner.c, inner.n)
-        by_theta = harmonics_of(inner.f_theta(*points).reshape(R, count, inner.r, -1), self.H)
-        widths = [columns.shape[1] for columns in response.slow]
-        moved = np.pad(response.gain @ by_theta, ((0, 0), (0, 0), (0, 0), (0, max(widths, default=0))))
-        for r, columns in enumerate(response.slow):
-            moved[r, 0, :, inner.m : inner.m + widths[r]] = columns
-        if len(balance.S):
-            tangent = balance.tangent(safe[:, :, balance.S])
-            moved = moved + balance.G @ tangent.forces(moved[:, :, balance.S])
-        in_time = samples_of(moved.reshape(R, self.H + 1, -1), count).reshape(R, count, inner.n, -1)
-        dy = C @ in_time
-        dy[..., : inner.m] += inner.g_theta(*points).reshape(R, count, inner.c, -1)
+        tangent = balance.tangent(safe[:, :, balance.S]) if len(balance.S) else None
+
+        def outputs(moved: np.ndarray, direct: np.ndarray | float = 0.0) -> np.ndarray:
+            """Return harmonics of outputs (R, K+1, c, j) where states would move by (R, H+1, n, j) without the law."""
+            if tangent is not None:
+                moved = moved + balance.G @ tangent.forces(moved[:, :, balance.S])
+            in_time = samples_of(moved.reshape(R, self.H + 1, -1), count).reshape(R, count, inner.n, -1)
+            return harmonics_of(C @ in_time + direct, K)
+
+        def sensitivity() -> np.ndarray:
+            by_theta = harmonics_of(inner.f_theta(*points).reshape(R, count, inner.r, -1), self.H)
+            return outputs(response.gain @ by_theta, inner.g_theta(*points).reshape(R, count, inner.c, -1))
+
         Y = harmonics_of(inner.g(*points).reshape(R, count, -1), K)
-        dY = harmonics_of(dy, K)
         Y[~settled] = np.nan
-        by_means = [dY[r, :, :, inner.m : inner.m + width] for r, width in enumerate(widths)]
+        by_means = [np.zeros((K + 1, inner.c, 0), complex)] * R
+        if any(columns.shape[1] for columns in response.slow):
+            rested = np.zeros((R, self.H + 1, inner.n, max(columns.shape[1] for columns in response.slow)), complex)
+            for r, columns in enumerate(response.slow):
+                rested[r, 0, :, : columns.shape[1]] = columns
+            widths = (columns.shape[1] for columns in response.slow)
+            by_means = [own[..., :width] for own, width in zip(outputs(rested), widths, strict=True)]
         none = np.zeros((*Y.shape, 0), complex)
-        return Prediction(Y, settled, by_means, lambda: dY[..., : inner.m], lambda: none)
+        return Prediction(Y, settled, by_means, sensitivity, lambda: none)
 
 
 def _settling(u: float) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -7,15 +7,21 @@ is all in w = D x_N + forcing: x_N = P (1 - D P)^-1 forcing, of the size of the 
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
+from scipy.linalg.lapack import zgetrf, zgetrs
 
 from rotorsim.settled.resolvent import Resolvent, shifted
 
+MOST_KEPT = 64 << 20  # bytes of factors
 RANK = 1e-10  # of the largest, for directions in units of the rows of A
+
+Factor = tuple[np.ndarray, np.ndarray]
+_kept: OrderedDict[tuple[bytes, bytes, bytes], list[Factor]] = OrderedDict()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,17 +63,35 @@ def open_ports(
     seen = np.unique(np.concatenate([columns, *slow]).astype(int))
     P = np.zeros((*s.shape, len(seen), len(rows)), complex)
     effects = []
+    resting = U.copy()
     for r, states in enumerate(slow):
-        matrices = shifted(A[r : r + 1], s[r : r + 1], [states])[0]
-        right = np.repeat(U[None].astype(complex), len(matrices), 0)
-        right[0, states] = 0.0
-        P[r] = np.linalg.solve(matrices, right)[:, seen]
+        factors = _factors_of(A[r], s[r], states)
+        resting[:], resting[states] = U, 0.0
+        for k, factor in enumerate(factors):
+            P[r, k] = zgetrs(*factor, U if k else resting)[0][seen]
         driven = A[r][:, states].copy()
         driven[states] = 0.0
-        effect = np.linalg.solve(matrices[0].real, driven)
+        effect = zgetrs(*factors[0], driven)[0].real
         effect[states, np.arange(len(states))] = 1.0
         effects.append(effect[seen])
     return Ports(rows, seen, A[:, rows[:, None], seen], P, effects)
+
+
+def _factors_of(A: np.ndarray, s: np.ndarray, states: np.ndarray) -> list[Factor]:
+    """Return the triangular factors of s I - A (K+1) of a run whose slow states rest at order 0.
+
+    Those of the last runs are kept: most fault candidates do not change A where their fit begins.
+    """
+    key = A.tobytes(), s.tobytes(), states.tobytes()
+    factors = _kept.pop(key, None)
+    if factors is None:
+        matrices = shifted(A[None], s[None], [states])[0]
+        factors = [zgetrf(matrix)[:2] for matrix in matrices]
+    _kept[key] = factors
+    size = A.size * s.size * s.itemsize
+    while len(_kept) * size > MOST_KEPT:
+        _kept.popitem(last=False)
+    return factors
 
 
 def _spanned(

@@ -175,6 +175,10 @@ def test_dry_friction_is_not_linear_though_its_slope_is_zero():
         assert is_affine(affine, by)
     for other in (ca.sign(x), x * v, x**2, p / x, ca.if_else(x > 0, 1.0, 2.0), ca.fabs(v), ca.fmax(x, p)):
         assert not is_affine(other, by)
+    for affine in (p * x + v, x + ca.sin(v), x / p - v**2, ca.if_else(p > 0, x, v)):
+        assert is_affine(affine, x, v)
+    for other in (v * x, x / v, ca.if_else(v > 0, x, 0.0), x * ca.sin(v * p)):
+        assert not is_affine(other, x, v)
     friction = {"friction": {"type": "coulomb_friction", "parameters": {"friction": 1.0}}}
     assert equations_of().linear is not None
     assert equations_of(friction).linear is None

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorsim.model.array_function import array_function
-from rotorsim.model.matrix_function import MANY_POINTS, POINTS_AT_A_TIME, MatrixFunction
+from rotorsim.model.matrix_function import MANY_POINTS, POINTS_AT_A_TIME, WORTH_PREPARING, MatrixFunction
 from tests.systems.shipped import shipped
 
 UNARY = "exp log sqrt sin cos tan asin acos atan floor ceil fabs sinh cosh tanh asinh acosh atanh log1p expm1 sign"
@@ -26,7 +26,8 @@ def test_every_operation() -> None:
         [np.r_[rng.normal(size=200), 0.0, 1.0, -1.0, 0.5], np.r_[rng.normal(size=200), 0.0, 0.0, 0.0, 0.5]]
     )
     with np.errstate(all="ignore"):
-        found = written(points[:1], points[1:], np.empty((function.numel_out(), 204)))
+        found = np.empty((function.numel_out(), 204))
+        written(points[:1], points[1:], out=found)
         expected = np.array(function(points[:1], points[1:]))
     assert found == pytest.approx(expected, rel=4e-16 * 8, nan_ok=True)
 
@@ -38,9 +39,10 @@ def test_the_rates_of_a_diagram(name: str) -> None:
     trace = model.trace
     function = MatrixFunction([trace.t, trace.x, trace.z, trace.p], model.closed(trace.xdot))
     rng = np.random.default_rng(2)
-    t, x = rng.uniform(0, 1, (1, MANY_POINTS)), 1e-5 * rng.normal(size=(model.n_x, MANY_POINTS))
-    many = function(t, x, np.zeros((0, MANY_POINTS)), model.p0)[:, :, 0]
-    some = [function(t[:, k], x[:, k], np.zeros(0), model.p0)[0, :, 0] for k in range(0, MANY_POINTS, 9)]
+    n = WORTH_PREPARING + 1
+    t, x = rng.uniform(0, 1, (1, n)), 1e-5 * rng.normal(size=(model.n_x, n))
+    many = function(t, x, np.zeros((0, n)), model.p0)[:, :, 0]
+    some = [function(t[:, k], x[:, k], np.zeros(0), model.p0)[0, :, 0] for k in range(0, n, 9)]
     scale = np.abs(many).max(axis=0)
     assert np.abs(many[::9] - some).max(axis=0) == pytest.approx(0.0, abs=1e-12 * scale.max())
 
@@ -52,9 +54,17 @@ def test_more_points_than_are_taken_at_a_time() -> None:
     assert np.array_equal(function(points, np.array([3.0]))[:, :, 0], np.array([points[0] * 3.0, points[1] + 3.0]).T)
 
 
+def test_few_points_in_all_are_left_to_the_virtual_machine() -> None:
+    x = ca.SX.sym("x")
+    function = MatrixFunction([x], x * x)
+    for count in range(1, 9):
+        assert function(np.full((1, MANY_POINTS), 3.0)).ravel().tolist() == [9.0] * MANY_POINTS
+        assert ("_by_arrays" in vars(function)) == (count * MANY_POINTS > WORTH_PREPARING)
+
+
 def test_what_numpy_does_not_have_is_left_to_the_virtual_machine() -> None:
     x = ca.SX.sym("x")
     assert array_function(ca.Function("f", [x], [ca.erf(x)])) is None
     function = MatrixFunction([x], ca.erf(x))
-    points = np.linspace(-1, 1, MANY_POINTS)
+    points = np.linspace(-1, 1, WORTH_PREPARING + 1)
     assert function(points[None])[:, 0, 0] == pytest.approx([float(ca.erf(p)) for p in points])
