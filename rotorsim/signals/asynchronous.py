@@ -12,7 +12,7 @@ from scipy.stats import binom, chi2
 
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording
-from rotorsim.signals.harmonic_basis import Basis, harmonic_basis, wave_columns
+from rotorsim.signals.harmonic_basis import Basis, harmonic_basis
 from rotorsim.signals.harmonic_fit import NEAR, HarmonicFit, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics, samples_of, with_one_noise
 from rotorsim.signals.lines import FEWEST_PERIODS, Spectrum, faint_line, spectrum_of
@@ -298,16 +298,20 @@ def _misfit(nu: Asynchronous, recording: Recording, runs: Sequence[RunHarmonics]
         theta = _even(item, nu.at(item.fit.speed))[0] if nu.even else item.angle.theta
         basis, left = _residual(recording, item, theta)
         scale = abs(item.fit.speed) if nu.follows else 1.0
-        parts.append((scale * (time - time.mean()), theta, basis, left / np.maximum(item.fit.residual, 1e-300)))
+        own = [np.exp(1j * k * theta) for k in nu.orders]
+        left = left / np.maximum(item.fit.residual, 1e-300)
+        parts.append((scale * (time - time.mean()), theta, own, basis, left))
     every = sum(float((left**2).sum()) for *_, left in parts)
 
     def misfit(value: float, orders: Sequence[int] = nu.orders, multiples: Sequence[int] = (1,)) -> float:
         total = every
-        for time, theta, basis, left in parts:
-            phases = [k * theta + m * value * time for k in orders for m in multiples]
-            columns = basis.solve(np.hstack([wave_columns(phase) for phase in phases]))[1]
-            onto = columns.T @ left
-            total -= float((onto * np.linalg.lstsq(columns.T @ columns, onto, rcond=1e-9)[0]).sum())
+        for time, theta, own, basis, left in parts:
+            swings = [np.exp(1j * m * value * time) for m in multiples]
+            turns = own if orders is nu.orders else (np.exp(1j * k * theta) for k in orders)
+            waves = [turn * swing for turn in turns for swing in swings]
+            columns = np.column_stack([part for wave in waves for part in (wave.real, wave.imag)])
+            onto = columns.T @ left  # of which the basis explains nothing
+            total -= float((onto * np.linalg.lstsq(basis.left_of(columns), onto, rcond=1e-9)[0]).sum())
         return total
 
     return misfit

@@ -75,9 +75,12 @@ def colour_of(power: np.ndarray, line: np.ndarray) -> np.ndarray:
     return laws
 
 
-def bands_of(power: np.ndarray, line: np.ndarray, duration: float) -> Bands:
-    """Return the bands of power (n, C) at lines (n,) of a run [s], those that stand out left at what is about them."""
-    level = density(colour_of(power, line), line)
+def bands_of(power: np.ndarray, line: np.ndarray, duration: float, colour: np.ndarray) -> Bands:
+    """Return the bands of power (n, C) at lines (n,) of a run [s], those that stand out left at what is about them.
+
+    colour (C, 3): of it, see `colour_of`.
+    """
+    level = density(colour, line)
     count, middle, mean = _in_bands(np.where(power <= OUTLIER * level, power, level), line)
     return Bands(count, middle / duration, mean)
 
@@ -151,7 +154,7 @@ def _law_of(count: np.ndarray, j: np.ndarray, p: np.ndarray) -> np.ndarray:
         S = np.exp(x[0]) + flicker
         J = np.column_stack([np.exp(x[0]) / S, flicker / S, -flicker * np.log(j) / S])
         gradient, hessian = J.T @ (count * (1 - p / S)), (J * count[:, None]).T @ J
-        step = -np.linalg.lstsq(hessian + 1e-9 * np.trace(hessian) * np.eye(3), gradient, rcond=None)[0]
+        step = -np.linalg.solve(hessian + 1e-9 * np.trace(hessian) * np.eye(3), gradient)
         step *= min(1.0, 2.0 / max(float(np.abs(step).max()), 1e-300))
         for _ in range(6):
             new = x + step

@@ -70,6 +70,11 @@ class Basis:
         coefficients /= self._size[:, None]
         return coefficients, y - self.columns @ coefficients
 
+    def left_of(self, more: np.ndarray) -> np.ndarray:
+        """Return the products (j, j) of what the fit leaves of further columns (n, j)."""
+        taken = solve_triangular(self._factor[0], self._scaled.T @ more, lower=True)
+        return np.asarray(more.T @ more - taken.T @ taken)
+
     @cached_property
     def inverse(self) -> np.ndarray:
         """Inverse of the normal matrix (m, m) (of scaled columns: well conditioned)."""

@@ -95,10 +95,11 @@ def noise_of(
         usable[max(0, at - 2) : at + 3] = False
     inner, at_line = transform[usable], np.arange(len(transform))
     power = np.abs(inner) ** 2
-    bands = None if len(inner) < 8 else bands_of(power, at_line[usable], n * step)
-    if len(inner) < 8 or (is_white(power) and has_one_covariance(inner)):
+    few = len(inner) < 8
+    colour = np.zeros((channels, 3)) if few else colour_of(power, at_line[usable])
+    bands = None if few else bands_of(power, at_line[usable], n * step, colour)
+    if few or (is_white(power) and has_one_covariance(inner)):
         return Noise((left.T @ left / freedom + at_least)[None], True, float(freedom), bands=bands)
-    colour = colour_of(power, at_line[usable])
     spacing = abs(speed) / tau * n * step
     orders, shape = np.sqrt(_at_orders(colour, spacing, K)), np.sqrt(density(colour, at_line))
     alive = shape[-1] > 0

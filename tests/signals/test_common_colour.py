@@ -66,7 +66,8 @@ def test_noise_is_of_another_colour_once_in_a_thousand_recordings(times, alike):
     common = np.array([[1.0, 30.0, 1.0]])
 
     def bands(corner: float):
-        return bands_of(density(np.array([[1.0, corner, 1.0]]), line), line, 1.0)
+        colour = np.array([[1.0, corner, 1.0]])
+        return bands_of(density(colour, line), line, 1.0, colour)
 
     def gain(corner: float) -> float:
         """Return twice what the fourth run gains by a colour of its own: expected power, so that it fits exactly."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
@@ -17,7 +18,7 @@ from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.experiment import Experiment
-from rotorsim.recordings.recording import Recording, Run
+from rotorsim.recordings.recording import Recording
 from rotorsim.signals.asynchronous import Asynchronous, find_asynchronous, with_asynchronous
 from rotorsim.signals.converters import stated_steps, through_converters
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of
@@ -58,7 +59,8 @@ def open_harmonics(
     steps, unseen = stated_steps(diagram, recording)
     notes = [*warnings, *unseen]
     conditions = Conditions(steps)
-    given, extra = harmonic_evidence(empty, hold_out, conditions, notes)
+    fitted = cache(_fitted)
+    given, extra = harmonic_evidence(empty, hold_out, conditions, notes, fitted)
     _refuse_still(given.open(given.load(with_uncertain(diagram))))  # says what is wrong, and where
     before, refined = base_fit(diagram, given)
     for _ in range(PICKUPS):
@@ -66,12 +68,12 @@ def open_harmonics(
         if not more:
             break
         conditions = replace(conditions, picked=[*conditions.picked, *more])
-        given, extra = harmonic_evidence(empty, hold_out, conditions, notes)
+        given, extra = harmonic_evidence(empty, hold_out, conditions, notes, fitted)
         before, refined = base_fit(diagram, given)
     drifts = {} if before.failure else find_drifts(before, given)
     if drifts:
         drifting = replace(conditions, drifts=drifts)
-        less, less_extra = harmonic_evidence(empty, hold_out, drifting, notes)
+        less, less_extra = harmonic_evidence(empty, hold_out, drifting, notes, fitted)
         fit, finer = base_fit(diagram, less)
         if tells_drifts(fit):  # else what the diagram lacks may drift, too
             conditions, given, extra, before, refined = drifting, less, less_extra, fit, finer
@@ -95,14 +97,24 @@ def open_harmonics(
     )
 
 
+def _fitted(recording: Recording, use: str) -> list[RunHarmonics]:
+    """Return the harmonics of the runs of a recording for a use; "": of all of them."""
+    runs = recording.select(use) if use else recording.runs
+    return harmonics_of(recording, runs) if runs else []
+
+
 def harmonic_evidence(
-    empty: HarmonicEvidence, hold_out: Recording | None, conditions: Conditions, earlier: Sequence[Problem] = ()
+    empty: HarmonicEvidence,
+    hold_out: Recording | None,
+    conditions: Conditions,
+    earlier: Sequence[Problem] = (),
+    fitted: Callable[[Recording, str], list[RunHarmonics]] = _fitted,
 ) -> tuple[HarmonicEvidence, list[Problem]]:
     """Return the harmonics of recordings under conditions, and warnings; earlier: those of before, for the error."""
     recording = through_converters(empty.recording, conditions.steps)
     hold_out = None if hold_out is None else through_converters(hold_out, conditions.steps)
     warnings: list[Problem] = []
-    harmonics = settled_runs(harmonics_of(recording, recording.select("identify")), warnings, "used")
+    harmonics = settled_runs(fitted(recording, "identify"), warnings, "used")
     if not harmonics:
         hint = "diagnosis needs runs at constant speed that have settled"
         problem = Problem("no run has a settled motion", recording.name, hint=hint)
@@ -115,13 +127,13 @@ def harmonic_evidence(
         beside = _beside(recording, harmonics, second, warnings, "used")
         second, harmonics = (second, beside) if beside else (None, harmonics)
 
-    def held(part: Recording, runs: Sequence[Run]) -> tuple[RunHarmonics, ...]:
-        kept = settled_runs(harmonics_of(part, runs) if runs else (), warnings, "scored")
+    def held(part: Recording, use: str) -> tuple[RunHarmonics, ...]:
+        kept = settled_runs(fitted(part, use), warnings, "scored")
         kept = with_drifts(with_pickups(part, kept, conditions.picked)[0], conditions.drifts)
         return _beside(part, kept, second, warnings, "scored") if kept and second is not None else kept
 
-    parts = [(recording, recording.select("hold_out")), *([] if hold_out is None else [(hold_out, hold_out.runs)])]
-    scored = tuple((part, kept) for part, runs in parts if (kept := held(part, runs)))
+    parts = [(recording, "hold_out"), *([] if hold_out is None else [(hold_out, "")])]
+    scored = tuple((part, kept) for part, use in parts if (kept := held(part, use)))
     return replace(empty, recording=recording, harmonics=harmonics, second=second, held=scored), warnings
 
 
