@@ -7,7 +7,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.integrate import solve_ivp
+import scipy.integrate
+from scipy.integrate import OdeSolver, solve_ivp
 
 from rotorsim.diagram.solver import ADAPTIVE, SOLVER_METHODS
 from rotorsim.errors import Problem, RotorsimError
@@ -49,15 +50,21 @@ def run_adaptive(
     if switching is not None:
         crossing += switching.crossings()
         crossing += switching.completions(tuple(crossing))
-    options: dict[str, Any] = {"method": ADAPTIVE[method], "rtol": solver.rtol, "atol": solver.atol}
+    options: dict[str, Any] = {"rtol": solver.rtol, "atol": solver.atol}
     if switching is not None and switching.stepwise:
         options["max_step"] = h  # what is told of every step has to be told as often as with fixed ones
     if method in IMPLICIT:
         options["jac"] = lambda t, x: _finite(_sound(np.array(model.jacobian(t, x, instance.z, p))), t, model)
     grid = np.arange(n_steps // every + 1) * every * h
-    rows = np.empty((len(grid), instance.n_y))
+
+    def tell(t: float) -> None:
+        if progress is not None:
+            progress(t / end)
+
+    kept = _Rows(instance, grid, AT * h)
+    options["method"] = _kept_by(kept, tell, getattr(scipy.integrate, ADAPTIVE[method]))
     counters = {"steps": 0, "evaluations": 0, "events": 0, "jacobians": 0}
-    t, filled, verdict = 0.0, 0, Verdict()
+    t, verdict = 0.0, Verdict()
     x = np.array(instance.x)
 
     def slope(t: float, x: np.ndarray) -> np.ndarray:
@@ -70,14 +77,13 @@ def run_adaptive(
             stop = min(instance.next_hit(), end)
             if switching is not None:
                 stop = min(stop, switching.next_time)
+            kept.begin(t, x)
             part = solve_ivp(slope, (t, stop), x, events=crossing, dense_output=True, **options)
             counters["steps"] += len(part.t) - 1
             counters["evaluations"] += part.nfev
             counters["jacobians"] += part.njev
             reached = float(part.t[-1])
-            while filled < len(grid) and grid[filled] < reached - AT * h:  # at an event is behind it
-                rows[filled] = _sound(instance.record(grid[filled], part.sol(grid[filled])))
-                filled += 1
+            kept.fill(reached, part.sol)
             outgrown = part.status == 1 and len(part.t_events[0]) > 0
             if outgrown or part.status < 0 or not np.isfinite(part.y[:, -1]).all():
                 verdict = Verdict("diverged", _failure(model, instance, part, reached))
@@ -95,20 +101,75 @@ def run_adaptive(
                 instance.sample(t)
             if switching is not None:
                 x = switching.carry_out_due(t, x, h)
-            if progress is not None:
-                progress(t / end)
+            tell(t)
     except KeyboardInterrupt:
+        t, x = kept.last
         verdict = interrupted(t)
     except RotorsimError as error:
+        t, x = kept.last
         verdict = diverged_inside(model, instance, error, t, None)
     instance.x[:] = x
-    if verdict.status == "finished" and filled == len(grid) - 1:
+    if verdict.status == "finished" and kept.count == len(grid) - 1:
         try:
-            rows[filled] = _sound(instance.record(grid[filled], x))
-            filled += 1
+            kept.add(x)
         except RotorsimError as error:
             verdict = failed_inside(error, t)
-    return grid[:filled], rows[:filled], verdict, counters
+    return grid[: kept.count], kept.rows[: kept.count], verdict, counters
+
+
+class _Rows:
+    """The rows that are recorded, at times (n,) of a grid, as far as steps have been completed.
+
+    last: time and states where the last step began that is known to be one.
+    """
+
+    def __init__(self, instance: Instance, grid: np.ndarray, near: float) -> None:
+        self.instance, self.grid, self.near = instance, grid, near
+        self.rows = np.empty((len(grid), instance.n_y))
+        self.count = 0
+        self.last: tuple[float, np.ndarray] = (0.0, np.array(instance.x))
+
+    def begin(self, t: float, x: np.ndarray) -> None:
+        """Go on from states at a time."""
+        self.last = t, np.array(x)
+
+    def fill(self, until: float, motion: Callable[[float], np.ndarray]) -> None:
+        """Record a motion until a time; what is nearer to it is left to what begins there, as behind an event."""
+        while self.count < len(self.grid) and self.grid[self.count] < until - self.near:
+            at = self.grid[self.count]
+            self.rows[self.count] = _sound(self.instance.record(at, motion(at)))
+            self.count += 1
+
+    def add(self, x: np.ndarray) -> None:
+        """Record states at the next time of the grid."""
+        self.rows[self.count] = _sound(self.instance.record(self.grid[self.count], x))
+        self.count += 1
+
+
+def _kept_by(kept: _Rows, tell: Callable[[float], None], method: type[OdeSolver]) -> type[OdeSolver]:
+    """Return a method that records each step when the next one begins, and tells its time: no event lies in it.
+
+    Where a part fails, or Ctrl-C ends the run, all steps before are kept.
+    """
+
+    class Recorded(method):  # type: ignore[misc]
+        motion: Any = None
+
+        def step(self) -> str | None:
+            if self.motion is not None:
+                kept.fill(self.t, self.motion)
+                kept.begin(self.t, self.y)
+                tell(self.t)
+            self.motion = None
+            said: str | None = super().step()
+            if self.status != "failed":
+                self.motion = super().dense_output()
+            return said
+
+        def dense_output(self) -> Any:
+            return self.motion
+
+    return Recorded
 
 
 def _sound(values: np.ndarray) -> np.ndarray:

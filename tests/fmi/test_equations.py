@@ -293,6 +293,18 @@ def test_a_failure_at_the_end_is_one(plants: Path, method: str) -> None:
     assert (found.status, np.isfinite(found.signals["it.y"]).all()) == ("stopped", True)
 
 
+@pytest.mark.parametrize("method", ["dop853", "radau", "lsoda"])
+def test_what_was_computed_until_a_failure_is_kept(plants: Path, method: str) -> None:
+    """Without events an adaptive method goes through the whole run at one stretch."""
+    found, whole = (
+        simulate(of_plant(plants, fault=FAULTS.index(fault), fault_time=0.0995), stop=0.5, method=method)
+        for fault in ("fail", "ok")
+    )
+    assert (found.status, len(found.time) > 95, found.time[-1] < 0.0995) == ("stopped", True, True)
+    np.testing.assert_array_equal(found.signals["it.y"], whole.signals["it.y"][: len(found.time)])
+    assert "; what was computed until t = 0.09" in found.message
+
+
 def test_the_command_says_what_failed_and_where_the_rest_is(plants: Path, run: Any) -> None:
     diagram = of_plant(plants, fault=FAULTS.index("fail"), fault_time=0.1)
     make_fmu(Path("plant2.fmu"))
