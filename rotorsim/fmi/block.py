@@ -4,27 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from math import prod
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rotorsim.block import (
-    Block,
-    Equations,
-    In,
-    Option,
-    Out,
-    Param,
-    Shape,
-    State,
-    concatenate,
-    matrix_shape,
-    unflatten,
-    zeros,
-)
+from rotorsim.block import Block, Equations, In, Option, Out, Param, State, concatenate, unflatten, zeros
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.model import FLOATS, INTEGERS, ModelDescription
 from rotorsim.fmi.functions import functions_of, held_inputs, moving_inputs
@@ -34,6 +20,7 @@ from rotorsim.fmi.ports import (
     FmuOption,
     FmuPort,
     Named,
+    begun,
     check_named,
     declared_option,
     named_ports,
@@ -42,6 +29,8 @@ from rotorsim.fmi.ports import (
     ports_of,
     prefix_of,
     silent,
+    symbol_shape,
+    unfed,
     unit_warnings,
     value_name,
 )
@@ -178,10 +167,10 @@ def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
     state = x.states if n_x else ca.SX(0, 1)
     if block.untraced()[0]:
         rates = {"states": zeros(n_x)} if n_x else {}
-        return Equations({name: zeros(*_two(port.shape)) for name, port in ports.items()}, rates)
+        return Equations({name: zeros(*symbol_shape(port.shape)) for name, port in ports.items()}, rates)
     functions = functions_of(block)
     moving, held = moving_inputs(block), held_inputs(block)
-    fed = {name: concatenate([getattr(u, name) + _unfed(block, p, name, port)]) for name, port in moving.items()}
+    fed = {name: concatenate([getattr(u, name) + unfed(block, p, name, port)]) for name, port in moving.items()}
     values = _values(block, p, held)
     given = [t, state, concatenate([ca.SX(0, 1), *fed.values()]), values]
     together: dict[frozenset[str], dict[str, range]] = {}  # outputs that follow the same inputs at once
@@ -196,12 +185,12 @@ def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
         together.setdefault(follows, {})[name] = rows
     outputs: dict[str, Any] = {}
     for follows, members in together.items():
-        seen = [value if name in follows else concatenate([_begun(moving[name])]) for name, value in fed.items()]
+        seen = [value if name in follows else concatenate([begun(moving[name])]) for name, value in fed.items()]
         rows_of_all = [k for rows in members.values() for k in rows]
         groups = (True, bool(n_x), bool(follows), True)
         column = functions.call("y", rows_of_all, groups, [t, state, concatenate([ca.SX(0, 1), *seen]), values])
         for name, part in zip(members, _split(column, [len(rows) for rows in members.values()]), strict=True):
-            outputs[name] = unflatten(part, _two(ports[name].shape))
+            outputs[name] = unflatten(part, symbol_shape(ports[name].shape))
     return Equations(outputs, {"states": functions.call("f", range(n_x), (True,) * 4, given)} if n_x else {})
 
 
@@ -216,7 +205,7 @@ def _linear_equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations 
     if block.untraced()[0] or not (block.option.linear and description.states and description.is_affine(unknowns)):
         return None
     functions, moving, held = functions_of(block), moving_inputs(block), held_inputs(block)
-    fed = [concatenate([getattr(u, name) + _unfed(block, p, name, port)]) for name, port in moving.items()]
+    fed = [concatenate([getattr(u, name) + unfed(block, p, name, port)]) for name, port in moving.items()]
     values = _values(block, p, held)
     knowns = [*description.states, *(entry for port in moving.values() for entry in port.entries)]
     rows = [*description.derivatives, *unknowns]
@@ -227,7 +216,7 @@ def _linear_equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations 
     column = factors @ moved + functions.forcing(t, values)
     n_x = len(description.states)
     parts = _split(column[n_x:], [len(port.entries) for port in ports.values()])
-    outputs = {name: unflatten(part, _two(ports[name].shape)) for name, part in zip(ports, parts, strict=True)}
+    outputs = {name: unflatten(part, symbol_shape(ports[name].shape)) for name, part in zip(ports, parts, strict=True)}
     return Equations(outputs, {"states": column[:n_x]})
 
 
@@ -237,7 +226,7 @@ def _starts(self: Block, p: Any) -> dict[str, Any]:
     if block.untraced()[0] or not block.fmu_description.states:
         return {}
     moving = moving_inputs(block).items()
-    fed = concatenate([ca.SX(0, 1), *(_unfed(block, p, name, port, start=True) for name, port in moving)])
+    fed = concatenate([ca.SX(0, 1), *(unfed(block, p, name, port, start=True) for name, port in moving)])
     given = [ca.SX(0, 1), ca.SX(0, 1), fed, _values(block, p, held_inputs(block))]
     return {"states": functions_of(block).call("x0", None, (False, False, True, True), given)}
 
@@ -255,25 +244,7 @@ def _mode(self: Block, p: Any) -> FmuMode | None:
 def _values(block: Any, p: Any, held: Mapping[str, FmuPort]) -> Any:
     """Return the values of parameters, then of inputs that are set once."""
     own = [getattr(p, name) for name in block.fmu_parameters]
-    return concatenate([ca.SX(0, 1), *own, *(_unfed(block, p, name, port) for name, port in held.items())])
-
-
-def _unfed(block: Any, p: Any, name: str, port: FmuPort, start: bool = False) -> Any:
-    """Return what is added to an input: its value where nothing feeds it; start: that with which it begins."""
-    alone = name not in block.wired
-    if alone and name in block.parameters and name not in block.fmu_parameters:
-        return getattr(p, name)
-    return _begun(port) if alone or start else zeros(*_two(port.shape))
-
-
-def _begun(port: FmuPort) -> Any:
-    """Return the value with which the FMU begins an input."""
-    return ca.SX(np.zeros(_two(port.shape)) if port.start is None else np.reshape(port.start, _two(port.shape)))
-
-
-def _two(shape: Shape) -> tuple[int, int]:
-    """Return rows and columns of the symbol of a port, whose last index runs fastest."""
-    return matrix_shape(shape) if len(shape) < 3 else (prod(shape), 1)
+    return concatenate([ca.SX(0, 1), *own, *(unfed(block, p, name, port) for name, port in held.items())])
 
 
 def _split(column: Any, sizes: Sequence[int]) -> list[Any]:

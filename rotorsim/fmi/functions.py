@@ -98,19 +98,23 @@ def moving_inputs(block: Any) -> dict[str, Any]:
     return {name: port for name, port in block.fmu_inputs.items() if name not in held}
 
 
+def texts_of(block: Any) -> dict[str, Any]:
+    """Return the values that a block gives to variables that are no numbers, and are not the start values."""
+    return {
+        item.variable.name: item.of_fmu(getattr(block.option, key))
+        for key, item in block.fmu_options.items()
+        if item.variable.causality != "structuralParameter"
+        and key not in block.wired
+        and getattr(block.option, key) != item.default
+    }
+
+
 def functions_of(block: Any) -> FmuFunctions:
     """Return the functions of a block of type fmu; the same for the same block and file, with equal options.
 
     Blocks do not share them: each has a mode of its own.
     """
-    option = block.option
-    texts = {
-        item.variable.name: item.of_fmu(getattr(option, key))
-        for key, item in block.fmu_options.items()
-        if item.variable.causality != "structuralParameter"
-        and key not in block.wired
-        and getattr(option, key) != item.default
-    }
+    option, texts = block.option, texts_of(block)
     digest, sizes = digest_of(block.fmu_path), sorted(block.fmu_description.sizes.items())
     ports = [*block.fmu_outputs]
     about, file = (bool(option.in_process), float(option.timeout)), str(block.fmu_path)

@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from rotorsim.block import Option, Shape
+from rotorsim.block import Option, Shape, matrix_shape, zeros
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.fmi.description.model import FLOATS, NUMERIC, Entry, FmuVariable, ModelDescription
 
@@ -264,3 +265,22 @@ def declared_option(option: FmuOption) -> Any:
     if option.items:
         kind, more = (str, int), {"choices": (*option.items, *option.items.values())}
     return Option(option.default, name=option.name, kind=kind, doc=option.variable.description, **more)
+
+
+def symbol_shape(shape: Shape) -> tuple[int, int]:
+    """Return rows and columns of the symbol of a port, whose last index runs fastest."""
+    return matrix_shape(shape) if len(shape) < 3 else (prod(shape), 1)
+
+
+def begun(port: FmuPort) -> Any:
+    """Return the value with which the FMU begins an input."""
+    shape = symbol_shape(port.shape)
+    return ca.SX(np.zeros(shape) if port.start is None else np.reshape(port.start, shape))
+
+
+def unfed(block: Any, p: Any, name: str, port: FmuPort, start: bool = False) -> Any:
+    """Return what is added to an input: its value where nothing feeds it; start: that with which it begins."""
+    alone = name not in block.wired
+    if alone and name in block.parameters and name not in block.fmu_parameters:
+        return getattr(p, name)
+    return begun(port) if alone or start else zeros(*symbol_shape(port.shape))

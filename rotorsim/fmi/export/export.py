@@ -13,8 +13,9 @@ from rotorsim.errors import Problem, RotorsimError, escape, near_miss
 from rotorsim.files import atomic_target
 from rotorsim.fmi.description.platforms import library_folder
 from rotorsim.fmi.export.build import build_library, find_platforms, suffix_of
-from rotorsim.fmi.export.nested import carried_files, check_platforms, why_not_nested
+from rotorsim.fmi.export.nested import carried_files, check_platforms, interface_of, why_not_nested
 from rotorsim.fmi.export.sources import make_sources, with_token
+from rotorsim.fmi.export.stepped import with_steps
 from rotorsim.fmi.export.variables import Interface, make_interface
 from rotorsim.fmi.export.writer import build_description, model_description
 from rotorsim.model.emit.toolchain import FLAGS
@@ -59,14 +60,17 @@ def export_fmu(
     output port outside that feeds the blocks, under its name, instead of the sum of what an additive port gets.
 
     Co-simulation takes the diagram's own step, Runge-Kutta of order 4. The same diagram gives the same bytes.
-    FMUs for Model Exchange among the blocks go along in the resources, and their code runs where the export does.
+    FMUs among the blocks go along in the resources, and their code runs where the export does; those for
+    Co-Simulation step with the diagram.
     Raises RotorsimError.
     """
     wanted_inputs = list(dict.fromkeys(inputs))
     chosen = list(diagram.nodes) if blocks is None else list(dict.fromkeys(blocks))
     _check(diagram, chosen, version, arrays, wanted_inputs)
     wanted = find_platforms(platforms)
-    part = open_part(diagram, chosen, inputs=wanted_inputs, by_source=by_source)
+    opaque = [name for name in chosen if diagram.nodes[name].block.opaque]
+    hidden = [name for name in opaque if interface_of(diagram.nodes[name].block) == "cs"]
+    part = open_part(with_steps(diagram, hidden), chosen, inputs=wanted_inputs, by_source=by_source)
     interface = make_interface(part, outputs=outputs, arrays=arrays, fixed=fixed)
     check_platforms(interface.nested, wanted)
     draft, optimise = make_sources(interface, version)
@@ -95,7 +99,7 @@ def export_fmu(
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, data)
-    return Exported(path, version, token, interface, libraries, _oddities(diagram))
+    return Exported(path, version, token, interface, libraries, _oddities(diagram, hidden))
 
 
 def _check(diagram: Diagram, blocks: Sequence[str], version: str, arrays: bool, inputs: Sequence[str]) -> None:
@@ -127,13 +131,16 @@ def _check(diagram: Diagram, blocks: Sequence[str], version: str, arrays: bool, 
         raise RotorsimError(*problems)
 
 
-def _oddities(diagram: Diagram) -> tuple[Problem, ...]:
+def _oddities(diagram: Diagram, hidden: Sequence[str]) -> tuple[Problem, ...]:
     solver = diagram.solver
+    costs = f"is stepped by {solver.step:g} s with held inputs, which costs accuracy"
+    hint = "`rotorsim run` of the diagram tells how much; a smaller step of the diagram costs less"
+    found = tuple(Problem(costs, name, hint=hint, severity="warning") for name in hidden)
     if solver.method == "rk4":
-        return ()
+        return found
     what = f"co-simulation steps by Runge-Kutta of order 4 and {solver.step:g} s, not by {solver.method}"
     hint = "check that this step is small enough, or use model exchange"
-    return (Problem(what, diagram.name, hint=hint, severity="warning"),)
+    return (*found, Problem(what, diagram.name, hint=hint, severity="warning"))
 
 
 def _documentation(interface: Interface, main: str, optimise: str) -> str:

@@ -14,6 +14,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.archive import Archive
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
 from rotorsim.fmi.description.platforms import SUFFIXES, library_folder, platform_of
+from rotorsim.fmi.export.stepped import Steps, fed_inputs, is_stepped, set_inputs, steps_of
 from rotorsim.fmi.export.tables import number, table, text
 from rotorsim.fmi.functions import FmuFunctions, digest_of, functions_of, held_inputs, moving_inputs
 from rotorsim.fmi.runtime.binding import TYPES
@@ -21,8 +22,8 @@ from rotorsim.fmi.runtime.runs import make_runs
 from rotorsim.model.part import Part
 
 NESTED = "export the others by --block: what comes from it becomes an input"
-SYSTEM = "get it for Model Exchange, too, or `rotorsim ssp export`, which takes it as it is"
 FOLDER = "fmus"  # in resources/
+WHOLE = 1e-9  # of a number of steps
 _LARGEST = 2 << 30  # bytes of one file
 _LEFT_OUT = ("sources/", "documentation/")
 _LICENCES = "documentation/licenses/"
@@ -44,11 +45,12 @@ _PROCESSOR = {
 
 @dataclass(frozen=True, eq=False)
 class Nested:
-    """An FMU for Model Exchange in a block. libraries: platform -> path of its library in its archive."""
+    """An FMU in a block. interface: me or cs. libraries: platform -> path of its library in its archive."""
 
     block: str
+    interface: str
     description: ModelDescription
-    functions: FmuFunctions
+    functions: FmuFunctions | Steps
     file: Any
     folder: str
     fixed: tuple[str, ...]
@@ -57,7 +59,7 @@ class Nested:
     @property
     def n_events(self) -> int:
         """How many event indicators it has."""
-        return self.description.n_events
+        return self.description.n_events if self.interface == "me" else 0
 
     @property
     def nominal(self) -> float:
@@ -67,8 +69,13 @@ class Nested:
 
     @property
     def kind(self) -> Any:
-        """What it says of Model Exchange."""
-        return self.description.kinds["me"]
+        """What it says of its interface."""
+        return self.description.kinds[self.interface]
+
+    @property
+    def reports(self) -> bool:
+        """Whether it is to be told of completed steps."""
+        return bool(self.interface == "me" and self.kind.completed_step_needed and self.description.states)
 
 
 def why_not_nested(diagram: Diagram, blocks: Iterable[str]) -> list[Problem]:
@@ -79,12 +86,26 @@ def why_not_nested(diagram: Diagram, blocks: Iterable[str]) -> list[Problem]:
         node, block = diagram.nodes[name], _fmu_block(diagram, name)
         if block is None:
             continue
-        what, hint = _why_not(block)
-        if not what and block.fmu_description.kinds["me"].once_per_process:
+        what, hint = _why_not(block, diagram.solver.step)
+        if not what and block.fmu_description.kinds[interface_of(block)].once_per_process:
             first = once.setdefault(block.fmu_description.token, name)
             what = "" if first == name else f"can be instantiated only once per process, and {first} is the same FMU"
         problems += [Problem(what, name, node.place, hint or NESTED)] if what else []
-    return problems
+    return problems or _beside_events(diagram, blocks)
+
+
+def _beside_events(diagram: Diagram, blocks: Iterable[str]) -> list[Problem]:
+    """Refuse FMUs for Co-Simulation beside events within steps, which are taken back to locate them."""
+    every = {name: block for name in blocks if (block := _fmu_block(diagram, name)) is not None}
+    eventful = [name for name, b in every.items() if interface_of(b) == "me" and b.fmu_description.n_events]
+    what = f"is an FMU for Co-Simulation, which cannot step back to the events of {', '.join(eventful)}"
+    stepped = [name for name, b in every.items() if eventful and interface_of(b) == "cs"]
+    return [Problem(what, name, diagram.nodes[name].place, NESTED) for name in stepped]
+
+
+def interface_of(block: Any) -> str:
+    """Return the interface that a block of type fmu would have inside another: cs where it hides its equations."""
+    return "cs" if block.option.interface == "cs" or "me" not in block.fmu_description.kinds else "me"
 
 
 def _fmu_block(diagram: Diagram, name: str) -> Any:
@@ -93,25 +114,28 @@ def _fmu_block(diagram: Diagram, name: str) -> Any:
     return block if block.opaque else None
 
 
-def _why_not(block: Any) -> tuple[str, str]:
+def _why_not(block: Any, step: float) -> tuple[str, str]:
     description: ModelDescription = block.fmu_description
-    what, hint = block.untraced()
+    interface = interface_of(block)
     if description.version == "1.0":
         return "is an FMU of FMI 1.0, which is not carried inside another", f"get it as FMI 2.0 or 3.0, or {NESTED}"
-    if what:
-        cosim = "is an FMU for Co-Simulation, which is not carried inside another"
-        return (
-            (cosim, f"{hint.rpartition(';')[0] or SYSTEM}; or {NESTED}")
-            if ("Co-Simulation, which hides" in what)
-            else (what, NESTED)
-        )
-    if description.kinds["me"].needs_tool:
+    if interface not in description.kinds:
+        return f"offers no interface '{interface}'", NESTED
+    kind = description.kinds[interface]
+    if interface == "me" and (what := block.untraced()[0]):
+        return what, NESTED
+    parts = step / (kind.fixed_step or step)
+    if abs(parts - round(parts)) > WHOLE * parts or parts < 0.5:
+        what = f"takes steps of {kind.fixed_step:g} s, of which that of the diagram, {step:g} s, is no multiple"
+        return what, '"solver": {"step": ...} of the diagram'
+    if kind.needs_tool:
         return "needs the tool that made it (needsExecutionTool), which is not carried", ""
     if not description.platforms:
         return "holds no library, only sources or nothing", "build its library and put it into binaries/"
     if description.sizes:
         return f"has other sizes of arrays ({', '.join(description.sizes)}) than its own, which are not carried", ""
-    moving = [entry for port in moving_inputs(block).values() for entry in description.resolve(port.entries)]
+    fed = moving_inputs(block) if interface == "me" else fed_inputs(block)
+    moving = [entry for port in fed.values() for entry in description.resolve(port.entries)]
     wrong = next((entry for entry in moving if entry.variable.type != FLOATS[0]), None)
     if wrong is not None:
         return f"has an input of type {wrong.variable.type} ({wrong.name}), which is not carried: Float64 alone is", ""
@@ -125,13 +149,16 @@ def find_nested(part: Part) -> tuple[Nested, ...]:
         block = _fmu_block(part.diagram, name)
         if block is None:
             continue
-        description = block.fmu_description
-        identifier = description.kinds["me"].identifier
+        description, interface = block.fmu_description, "cs" if is_stepped(block) else "me"
+        identifier = description.kinds[interface].identifier
         folder = f"{FOLDER}/{identifier}_{digest_of(block.fmu_path)[:8]}"
         with Archive(block.fmu_path) as archive:
             libraries = _libraries(description.version, identifier, archive.names)
-        fixed = tuple(f"{name}.{key}" for key in (*block.fmu_parameters, *held_inputs(block)))
-        found.append(Nested(name, description, functions_of(block), block.fmu_path, folder, fixed, libraries))
+        once, functions = (
+            (set_inputs(block), steps_of(block)) if interface == "cs" else (held_inputs(block), functions_of(block))
+        )
+        fixed = tuple(f"{name}.{key}" for key in (*block.fmu_parameters, *once))
+        found.append(Nested(name, interface, description, functions, block.fmu_path, folder, fixed, libraries))
     return tuple(found)
 
 
@@ -208,7 +235,7 @@ def nested_tables(part: Part, nested: Sequence[Nested], called: Sequence[str]) -
     """Return the tables of nested FMUs; called: names of the functions that the generated code calls, by number."""
     if not nested:
         return ["#define RF_NESTED 0"]
-    reports = any(one.kind.completed_step_needed and one.description.states for one in nested)
+    reports = any(one.reports for one in nested)
     lines = [
         f"#define RF_NESTED {len(nested)}",
         f"#define RF_NESTED_Z {sum(one.n_events for one in nested)}",
@@ -222,7 +249,7 @@ def nested_tables(part: Part, nested: Sequence[Nested], called: Sequence[str]) -
     models, at_z = [], 0
     for k, one in enumerate(nested):
         states = part.states.get(f"{one.block}.states")
-        more, model = _model(k, one, states.part.start if states else 0, at_z)
+        more, model = _model(k, one, part.diagram.solver.step, states.part.start if states else 0, at_z)
         lines += more
         models.append(model)
         at_z += one.n_events
@@ -239,7 +266,8 @@ def nested_tables(part: Part, nested: Sequence[Nested], called: Sequence[str]) -
         zero = equations.n_x + len(_shown(nested[k]))  # behind all: what nobody reads
         own = [equations.native_row.get(row, zero) for row in made.rows or ()]
         groups = ", ".join(str(int(group)) for group in made.groups)
-        calls.append(f"{{{k}, {int(made.rows is None)}, {len(own)}, {len(rows)}, {{{groups}}}}}")
+        what = "RF_BY_STEPS" if nested[k].interface == "cs" else "RF_AT_BEGIN" if made.rows is None else "RF_AT_POINT"
+        calls.append(f"{{{k}, {what}, {len(own)}, {len(rows)}, {{{groups}}}}}")
         rows += own
     return [
         *lines,
@@ -262,7 +290,7 @@ def _places(nested: Sequence[Nested]) -> list[str]:
     return [*lines, "#else", error, "#endif"] if lines else [error]
 
 
-def _model(k: int, one: Nested, at_x: int, at_z: int) -> tuple[list[str], str]:
+def _model(k: int, one: Nested, step: float, at_x: int, at_z: int) -> tuple[list[str], str]:
     """Return the tables of an FMU, and what refers to them."""
     description, equations = one.description, one.functions.equations
     p, u = equations.instances.parameters, equations.instances.inputs
@@ -290,7 +318,9 @@ def _model(k: int, one: Nested, at_x: int, at_z: int) -> tuple[list[str], str]:
     ]
     sizes = {
         "version": description.version[0],
-        "reports": int(one.kind.completed_step_needed),
+        "reports": int(one.reports),
+        "step": number(step if one.interface == "cs" else 0.0),
+        "late": int(getattr(equations, "late", False)),
         "at_x": at_x,
         "at_z": at_z,
         "n_x": equations.n_x,

@@ -126,7 +126,7 @@ def _kinds(root: Element, interface: Interface, version: str, sources: Sequence[
 
 def _steps(interface: Interface, two: bool) -> dict[str, str]:
     """Return whether completed steps have to be told."""
-    needed = any(one.kind.completed_step_needed and one.description.states for one in interface.nested)
+    needed = any(one.reports for one in interface.nested)
     if two:
         return {"completedIntegratorStepNotNeeded": _text(not needed)}
     return {"needsCompletedIntegratorStep": "true"} if needed else {}

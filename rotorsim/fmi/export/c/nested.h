@@ -1,5 +1,5 @@
-/* FMUs inside this one, for Model Exchange: loaded from its resources, begun, and asked by the generated code for their
- * equations. It is a part of instance.h. */
+/* FMUs inside this one: loaded from its resources, begun, and asked by the generated code for their equations, or stepped
+ * from hit to hit of the diagram. It is a part of instance.h. */
 #include "libraries.h"
 
 #define RF_EVENT_ITERATIONS 1000
@@ -67,15 +67,19 @@ static void rf_drop(rf_inner *n) {
 
 static int rf_instantiate(rf_inner *n) {
   typedef void *(*make2)(const char *, int, const char *, const char *, const rf_callbacks *, int, int);
-  typedef void *(*make3)(const char *, const char *, const char *, bool, bool, void *,
-                         void (*)(void *, int, const char *, const char *));
+  typedef void (*listener)(void *, int, const char *, const char *);
+  typedef void *(*make3)(const char *, const char *, const char *, bool, bool, void *, listener);
+  typedef void *(*step3)(const char *, const char *, const char *, bool, bool, bool, bool, const uint32_t *, size_t,
+                         void *, listener, void *);
   typedef int (*listen2)(void *, int, size_t, const char *const *);
   typedef int (*listen3)(void *, bool, size_t, const char *const *);
   const rf_model *m = n->model;
-  const int two = m->version == 2;
-  const char *name = two ? "Instantiate" : "InstantiateModelExchange";
-  n->at.instance = two ? ((make2)rf_find(n, name))(n->name, 0, m->token, n->resources, &n->callbacks, 0, 1)
-                       : ((make3)rf_find(n, name))(n->name, m->token, n->resources, false, true, n, rf_heard3);
+  const int two = m->version == 2, steps = m->step > 0.0;
+  const char *name = two ? "Instantiate" : steps ? "InstantiateCoSimulation" : "InstantiateModelExchange";
+  const rf_function make = rf_find(n, name);
+  n->at.instance = two     ? ((make2)make)(n->name, steps, m->token, n->resources, &n->callbacks, 0, 1)
+                   : steps ? ((step3)make)(n->name, m->token, n->resources, false, true, false, false, 0, 0, n, rf_heard3, 0)
+                           : ((make3)make)(n->name, m->token, n->resources, false, true, n, rf_heard3);
   if (!n->at.instance) return rf_failed(n, RF_ERROR, "fmi%d%s gave no instance", m->version, name);
   if (m->n_categories) {
     const rf_function listen = rf_find(n, "SetDebugLogging");
@@ -188,7 +192,7 @@ static int rf_begin_inner(rf_inner *n, const double *p, const double *u) {
     if (rf_instantiate(n)) return 1;
   }
   n->fresh = n->states = n->nominals = 0;
-  n->time = start;
+  n->time = start, n->steps = 0.0;
   if (rf_set_variables(n, p, u)) return 1;
   if (n->model->version == 2) {
     const rf_function setup = rf_find(n, "SetupExperiment");
@@ -198,7 +202,7 @@ static int rf_begin_inner(rf_inner *n, const double *p, const double *u) {
     const rf_function enter = rf_find(n, "EnterInitializationMode");
     if (rf_wrong(n, "EnterInitializationMode", ((enter3)enter)(n->at.instance, false, 0.0, start, false, 0.0))) return 1;
   }
-  if (rf_plainly(n, "ExitInitializationMode") || rf_settle(n)) return 1;
+  if (rf_plainly(n, "ExitInitializationMode") || (!(n->model->step > 0.0) && rf_settle(n))) return 1;
   if (n->outer->ended) return rf_failed(n, RF_ERROR, "has ended the simulation where it begins");
   double *z = n->fmu.seen + n->fmu.n_u;
   if (n->fmu.n_z && rf_wrong(n, "GetEventIndicators", ((get_)n->fmu.get_z)(n->at.instance, z, (size_t)n->fmu.n_z)))
@@ -206,6 +210,48 @@ static int rf_begin_inner(rf_inner *n, const double *p, const double *u) {
   for (int k = 0; k < n->fmu.n_z; ++k) n->outer->at.sides[n->model->at_z + k] = z[k] > 0.0 ? 1.0 : -1.0;
   memcpy(n->p, p, (size_t)n->fmu.n_p * sizeof *p);
   n->begun = 1;
+  return 0;
+}
+
+/* ---- steps of Co-Simulation ---- */
+
+static int rf_step_on(rf_inner *n) {
+  typedef int (*do2)(void *, double, double, int);
+  typedef int (*do3)(void *, double, double, bool, bool *, bool *, bool *, double *);
+  const double h = n->model->step, from = n->outer->d[RF_START] + n->steps * h;
+  double last = 0.0;
+  bool event = false, end = false, early = false;
+  const rf_function step = rf_find(n, "DoStep");
+  if (rf_wrong(n, "DoStep", n->model->version == 2 ? ((do2)step)(n->at.instance, from, h, 0)
+                                                   : ((do3)step)(n->at.instance, from, h, false, &event, &end, &early, &last)))
+    return 1;
+  n->steps += 1.0;
+  n->time = from + h;
+  if (end) {
+    rf_log(n->outer, RF_WARNING, "%s asks for the end of the simulation (t = %.9g s)", n->model->block, n->time);
+    n->outer->ended = 1;
+  }
+  return 0;
+}
+
+/* Take inputs u and step to t, where a step is due; put the outputs into n->out. Return whether it failed. The first time
+ * there is none: it begins with these inputs. */
+static int rf_step_inner(rf_inner *n, double t, const double *u, const double *p) {
+  rs_fmu *f = &n->fmu;
+  const int two = f->version == 2, begins = !n->begun;
+  const double due = n->outer->d[RF_START] + (n->steps + 1.0) * n->model->step;
+  if (begins && rf_begin_inner(n, p, n->model->late ? n->model->starts + f->n_p : u)) return 1;
+  if (!begins && memcmp(p, n->p, (size_t)f->n_p * sizeof *p))
+    return rf_failed(n, RF_ERROR, "cannot take other parameters after its initialisation");
+  if (!begins && t < due - 1e-6 * n->model->step) return 0; /* a hit of another block: nobody takes what is told now */
+  for (int64_t k = 0; k < f->n_u; ++k) f->work[k] = (u[k] - f->u_scales[2 * k + 1]) / f->u_scales[2 * k];
+  if (!begins && f->n_u &&
+      rf_wrong(n, two ? "SetReal" : "SetFloat64", access_real(f, f->set_real, n->at.instance, 0, f->work, f->n_u)))
+    return 1;
+  if (!begins && rf_step_on(n)) return 1;
+  if (f->n_y && rf_wrong(n, two ? "GetReal" : "GetFloat64", access_real(f, f->get_real, n->at.instance, 1, n->out, f->n_y)))
+    return 1;
+  for (int64_t k = 0; k < f->n_y; ++k) n->out[k] = f->y_scales[2 * k] * n->out[k] + f->y_scales[2 * k + 1];
   return 0;
 }
 
@@ -239,7 +285,12 @@ static void rf_call(const double *p, int k, const double *arguments, double *res
   int rates, outputs;
   parts(self, arguments, part, n->zeros, n->fmu.idle);
   wanted(self, &rates, &outputs);
-  if (i->status < RF_DISCARD && rf_calls[k].begins) {
+  if (i->status < RF_DISCARD && rf_calls[k].what == RF_BY_STEPS) {
+    if (!rf_step_inner(n, *part[0], part[2], part[3])) {
+      if (taken(self, n->out, results)) return;
+      rf_failed(n, RF_ERROR, "gives an output that is not finite");
+    }
+  } else if (i->status < RF_DISCARD && rf_calls[k].what == RF_AT_BEGIN) {
     if (!rf_begin_inner(n, part[3], part[2])) {
       memcpy(results, n->x, (size_t)n->fmu.n_x * sizeof *results);
       return;
@@ -259,7 +310,7 @@ static void rf_call(const double *p, int k, const double *arguments, double *res
         rf_explain(n, *part[0], part[1], part[2], rates, outputs);
     }
   }
-  for (int j = 0; j < (rf_calls[k].begins ? n->fmu.n_x : self->n_rows); ++j) results[j] = NAN;
+  for (int j = 0; j < (rf_calls[k].what == RF_AT_BEGIN ? n->fmu.n_x : self->n_rows); ++j) results[j] = NAN;
 }
 
 /* ---- the whole instance ---- */
@@ -287,21 +338,22 @@ static void rf_destroy_inners(rf_instance *i) {
 /* Return whether its library has not all that is called. */
 static int rf_lacks(rf_inner *n) {
   const rf_model *m = n->model;
-  const int two = m->version == 2, states = m->n_x > 0;
+  const int two = m->version == 2, states = m->n_x > 0, steps = m->step > 0.0;
   const struct {
     const char *name;
     int called;
-  } functions[] = {{two ? "Instantiate" : "InstantiateModelExchange", 1},
+  } functions[] = {{two ? "Instantiate" : steps ? "InstantiateCoSimulation" : "InstantiateModelExchange", 1},
                    {"FreeInstance", 1},
                    {"SetDebugLogging", m->n_categories > 0},
                    {"SetupExperiment", two},
                    {"EnterInitializationMode", 1},
                    {"ExitInitializationMode", 1},
                    {"EnterEventMode", states},
-                   {two ? "NewDiscreteStates" : "UpdateDiscreteStates", 1},
-                   {"EnterContinuousTimeMode", 1},
+                   {two ? "NewDiscreteStates" : "UpdateDiscreteStates", !steps},
+                   {"EnterContinuousTimeMode", !steps},
+                   {"DoStep", steps},
                    {"CompletedIntegratorStep", states && m->reports},
-                   {"SetTime", 1},
+                   {"SetTime", !steps},
                    {"SetContinuousStates", states},
                    {"GetContinuousStates", states},
                    {two ? "GetDerivatives" : "GetContinuousStateDerivatives", states},

@@ -15,20 +15,25 @@ typedef struct {
 } rf_setting;
 
 /* counts: of value references of inputs and outputs, which with arrays are fewer than the values. scales (n, 2): SI =
- * factor value + offset. starts, known: SI, of [parameters; inputs]; idle: inputs where none are given; constants: as they are set. at_x: place of its states. */
+ * factor value + offset. starts, known: SI, of [parameters; inputs]; idle: inputs where none are given; constants: as they
+ * are set. at_x: place of its states. step: of one for Co-Simulation [s], else 0;
+ * late: it takes inputs of the hit before. */
 typedef struct {
   const char *block, *library, *resources, *token;
-  int version, reports, at_x, at_z, n_x, n_u, n_y, n_z, n_p, counts[2], n_settings, n_constants, n_categories, largest;
+  double step;
+  int version, late, reports, at_x, at_z, n_x, n_u, n_y, n_z, n_p, counts[2], n_settings, n_constants, n_categories, largest;
   const uint32_t *u_refs, *y_refs;
   const double *u_scales, *y_scales, *starts, *idle, *scales, *constants;
   const rf_setting *settings;
   const char *const *texts, *const *categories;
 } rf_model;
 
-/* A function that the generated code calls: of which FMU, whether it is where it begins, rows of [x'; y], and whether t,
- * x, u, p are arguments. */
+enum { RF_AT_POINT, RF_AT_BEGIN, RF_BY_STEPS };
+
+/* A function that the generated code calls: of which FMU, whether it gives what it has at a point, where it begins, or
+ * behind a step; rows of [x'; y], and whether t, x, u, p are arguments. */
 typedef struct {
-  int inner, begins, n_rows, at_row, groups[4];
+  int inner, what, n_rows, at_row, groups[4];
 } rf_called;
 
 typedef struct { /* fmi2CallbackFunctions */
@@ -40,8 +45,8 @@ typedef struct { /* fmi2CallbackFunctions */
 } rf_callbacks;
 
 /* An instance of an FMU inside, with parameters p as it was begun: x, its states after the last event, values that are set.
- * made: how many there have been; fresh: instantiated and no more; begun: past its initialisation; states, nominals: whether the last event has changed
- * them; time: of what it was asked last. */
+ * made: how many there have been; fresh: instantiated and no more; begun: past its initialisation; states, nominals:
+ * whether the last event has changed them; time: of what it was asked last; steps: since the start. */
 typedef struct {
   rs_fmu fmu;
   rs_instance at;
@@ -52,7 +57,7 @@ typedef struct {
   double *memory, *p, *x, *zeros, *out, *values;
   void *buffer;
   int made, fresh, begun, states, nominals;
-  double time;
+  double time, steps;
   rf_callbacks callbacks;
 } rf_inner;
 
