@@ -53,7 +53,7 @@ def diagnose(
     Raises RotorsimError for recordings with errors, and for those that do not fit the diagram.
     """
     jobs = Jobs(workers, scheduler, progress)  # what is wrong with them is said before any work
-    warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out))]
+    warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out)), *parts_without_role(diagram)]
     with one_thread():
         opened = open_evidence(diagram, recording, hold_out, Catalogue.of(diagram, physics), warnings)
     if opened.base.failure:
@@ -79,6 +79,19 @@ def diagnose(
     with one_thread():
         remarks = diagnosis.evidence.remarks(diagnosis.before, diagnosis.after, inserted)
     return replace(diagnosis, statement=" ".join([diagnosis.statement, *remarks]))
+
+
+def parts_without_role(diagram: Diagram) -> list[Problem]:
+    """Return warnings of parts with equations of their own that no fault of a machine's parts is tried at."""
+    what = (
+        "its ports do not say what it is in the machine: faults of rotors, bearings and controllers are not tried there"
+    )
+    hint = '"ports" among its parameters names them: displacement, velocity, current, force'
+    return [
+        Problem(what, name, node.place, hint, severity="warning")
+        for name, node in diagram.nodes.items()
+        if node.block.opaque and node.block.roles == {node.block.category}
+    ]
 
 
 def _checked(recording: Recording | OrderRecording) -> list[Problem]:

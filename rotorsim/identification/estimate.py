@@ -28,7 +28,7 @@ MOST_EVALUATIONS = 60
 SEARCH_METHODS = ("trf", "dogbox")  # the first creeps in curved valleys near a bound: the second goes on from there
 PASSES = 3  # of both, where neither has converged
 GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
-FLAT = 1e-9  # of the largest singular value: below, a step says nothing
+FLAT = 1e-9  # of the largest singular value: below, derivatives by differences (4e-11) say nothing of a step
 ZERO_DERIVATIVE = 1e-11  # of the largest derivative: rounding
 SINGULAR_INFORMATION = (
     1e-13  # smallest eigenvalue of the information, each parameter's own being one: below, it is rounding

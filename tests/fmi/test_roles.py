@@ -13,17 +13,28 @@ import pytest
 
 from rotorsim.block import Block, In, Out
 from rotorsim.diagnosis.catalogue.finder import insertions
+from rotorsim.diagnosis.diagnosis import parts_without_role
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
 from rotorsim.model.load import load
 from rotorsim.simulation.run import simulate
 from tests.cli.conftest import Run
 from tests.fmi.conftest import Make
-from tests.fmi.test_equations import BOTH, with_fmu
+from tests.fmi.plant import make_fmu
+from tests.fmi.test_equations import BOTH, of_plant, with_fmu
 from tests.fmi.test_linear import rewritten
 
 RECORDED = ("rotor.displacement", "controller.current")
 PORTS = {"force": ["F_x", "F_y"], "displacement": ["s_x", "s_y"], "velocity": ["v.x", "v.y"]}
+
+
+def test_a_part_without_a_role_is_told(fmu: Make, tmp_path: Path) -> None:
+    assert parts_without_role(with_fmu(fmu, "rotor")) == []
+    make_fmu(tmp_path / "plant2.fmu")
+    assert [str(one) for one in parts_without_role(of_plant(tmp_path))] == [
+        "warning: it: its ports do not say what it is in the machine: faults of rotors, bearings and controllers are not "
+        'tried there\n\nhint: "ports" among its parameters names them: displacement, velocity, current, force'
+    ]
 
 
 def places(diagram: Diagram) -> set[tuple[str, int, str]]:
