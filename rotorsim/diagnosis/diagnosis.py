@@ -83,9 +83,7 @@ def diagnose(
 
 def parts_without_role(diagram: Diagram) -> list[Problem]:
     """Return warnings of parts with equations of their own that no fault of a machine's parts is tried at."""
-    what = (
-        "its ports do not say what it is in the machine: faults of rotors, bearings and controllers are not tried there"
-    )
+    what = "its ports do not say what it is: faults of rotors, bearings and controllers are not tried there"
     hint = '"ports" among its parameters names them: displacement, velocity, current, force'
     return [
         Problem(what, name, node.place, hint, severity="warning")

@@ -32,7 +32,7 @@ def test_a_part_without_a_role_is_told(fmu: Make, tmp_path: Path) -> None:
     assert parts_without_role(with_fmu(fmu, "rotor")) == []
     make_fmu(tmp_path / "plant2.fmu")
     assert [str(one) for one in parts_without_role(of_plant(tmp_path))] == [
-        "warning: it: its ports do not say what it is in the machine: faults of rotors, bearings and controllers are not "
+        "warning: it: its ports do not say what it is: faults of rotors, bearings and controllers are not "
         'tried there\n\nhint: "ports" among its parameters names them: displacement, velocity, current, force'
     ]
 
