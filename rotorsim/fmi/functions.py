@@ -116,7 +116,7 @@ def functions_of(block: Any) -> FmuFunctions:
     """
     option, texts = block.option, texts_of(block)
     digest, sizes = digest_of(block.fmu_path), sorted(block.fmu_description.sizes.items())
-    ports = [*block.fmu_outputs]
+    ports = [(name, port.entries) for name, port in (*block.fmu_inputs.items(), *block.fmu_outputs.items())]
     about, file = (bool(option.in_process), float(option.timeout)), str(block.fmu_path)
     identity = repr((block.fmu_block, file, digest, *about, sorted(texts.items(), key=str), sizes, ports))
     if identity not in _known:

@@ -86,7 +86,10 @@ def _factors_of(A: np.ndarray, s: np.ndarray, states: np.ndarray) -> list[Factor
     factors = _kept.pop(key, None)
     if factors is None:
         matrices = shifted(A[None], s[None], [states])[0]
-        factors = [zgetrf(matrix)[:2] for matrix in matrices]
+        found = [zgetrf(matrix) for matrix in matrices]
+        if any(info > 0 for *_, info in found):
+            raise np.linalg.LinAlgError("a frequency of the motion is that of an undamped mode")
+        factors = [(lu, pivots) for lu, pivots, _ in found]
     _kept[key] = factors
     size = A.size * s.size * s.itemsize
     while len(_kept) * size > MOST_KEPT:

@@ -320,7 +320,6 @@ def _model(k: int, one: Nested, step: float, at_x: int, at_z: int) -> tuple[list
         "version": description.version[0],
         "reports": int(one.reports),
         "step": number(step if one.interface == "cs" else 0.0),
-        "late": int(getattr(equations, "late", False)),
         "at_x": at_x,
         "at_z": at_z,
         "n_x": equations.n_x,

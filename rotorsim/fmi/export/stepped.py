@@ -8,7 +8,7 @@ those of the hit before are taken: Jacobi.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import SimpleNamespace
@@ -20,33 +20,35 @@ import numpy as np
 from rotorsim.block import Block, DiscreteState, Equations, Param, concatenate, unflatten, zeros
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.fmi.description.model import FLOATS
-from rotorsim.fmi.functions import digest_of, texts_of
+from rotorsim.fmi.functions import digest_of, moving_inputs, texts_of
 from rotorsim.fmi.instances import Values
 from rotorsim.fmi.ports import FmuPort, symbol_shape, unfed
 from rotorsim.model.trace.order import block_traces, evaluation_groups, feedthrough_graph
 
-STEP = "communication_step"
-HELD, TAKEN = "held", "taken"
+NAMES = "communication_step", "held", "taken"  # of a parameter and two states that are added
+NEVER = 1e300  # of an output: no number of a machine
 
 
 def is_stepped(block: Any) -> bool:
     """Return whether a block is an FMU for Co-Simulation, as `with_steps` puts it."""
-    return bool(block.opaque and STEP in block.parameters and block.sample_time == STEP)
+    return hasattr(block, "fmu_steps")
 
 
 def is_late(block: Any) -> bool:
     """Return whether it takes the inputs of the hit before."""
-    return TAKEN in block.states
+    return block.fmu_steps[2] in block.states
 
 
 def fed_inputs(block: Any) -> dict[str, FmuPort]:
-    """Return the inputs of an FMU for Co-Simulation that something feeds; the others are set once."""
-    return {name: port for name, port in block.fmu_inputs.items() if name in block.wired}
+    """Return the inputs that an FMU for Co-Simulation gets at every hit; the others are set once."""
+    moving = moving_inputs(block)
+    return {name: port for name, port in block.fmu_inputs.items() if name in moving or name in block.wired}
 
 
 def set_inputs(block: Any) -> dict[str, FmuPort]:
     """Return the other inputs."""
-    return {name: port for name, port in block.fmu_inputs.items() if name not in block.wired}
+    fed = fed_inputs(block)
+    return {name: port for name, port in block.fmu_inputs.items() if name not in fed}
 
 
 def with_steps(diagram: Diagram, blocks: Iterable[str]) -> Diagram:
@@ -63,11 +65,12 @@ def _with_steps(diagram: Diagram, blocks: Mapping[str, bool]) -> Diagram:
     for name, late in blocks.items():
         node = nodes[name]
         taken = sum(len(port.entries) for port in fed_inputs(node.block).values()) if late else 0
-        made = _stepped(type(node.block), h, taken)  # type: ignore[arg-type]
+        made: Any = _stepped(type(node.block), h, taken)  # type: ignore[arg-type]
         block = made(vars(node.block.option), node.block.wired)
         shapes = {key: state.shape for key, state in made.states.items()}
-        values = {**node.values, STEP: np.array(h)}
-        nodes[name] = replace(node, block=block, values=values, state_shapes=shapes)  # type: ignore[arg-type]
+        nodes[name] = replace(
+            node, block=block, values={**node.values, made.fmu_steps[0]: np.array(h)}, state_shapes=shapes
+        )
     return replace(diagram, nodes=nodes)
 
 
@@ -83,27 +86,39 @@ def _in_loops(diagram: Diagram) -> set[str]:
 def _stepped(kind: type[Block], h: float, taken: int) -> type[Block]:
     """Return the class of a block that acts at steps h [s]; taken: how many inputs it keeps from the hit before."""
     of: Any = kind
-    held = sum(len(names) for names in _told(of).values())
-    inputs = DiscreteState(name=TAKEN, shape=(taken,), unit=None, doc="inputs of the FMU at the last hit, SI")
+    told = sum(len(names) for names in _told(of).values())
+    known = {*of.parameters, *of.options, *of.inputs, *of.outputs}
+    step, held, inputs = (_free(name, known) for name in NAMES)
+    states = [DiscreteState(name=held, shape=(told,), unit=None, doc="outputs of the FMU, SI")]
+    if taken:
+        doc = "inputs of the FMU at the last hit, SI"
+        states.append(DiscreteState(name=inputs, shape=(taken,), unit=None, doc=doc))
     doc = "of which the FMU is told [s]; that of the diagram"
     body: dict[str, Any] = {
         "__doc__": kind.__doc__,
         "type_name": "fmu",
         "category": "fmu",
-        "sample_time": STEP,
-        "_step": Param(h, name=STEP, unit="s", low=h, high=h, doc=doc),
-        "_held": DiscreteState(name=HELD, shape=(held,), unit=None, doc="outputs of the FMU, SI"),
-        **({"_taken": inputs} if taken else {}),
+        "fmu_steps": (step, held, inputs),
+        "sample_time": step,
+        "_step": Param(h, name=step, unit="s", low=h, high=h, doc=doc),
+        "_states": tuple(states),
         "equations": _equations,
         "linear_equations": lambda self, p, u, x, t: None,
-        "starts": lambda self, p: {},
+        "starts": _starts,
         "untraced": lambda self: ("", ""),
         "mode": lambda self, p: None,
     }
     made: Any = type("Fmu", (kind,), body)
-    made.states = {key: made.states[key] for key in (HELD, TAKEN) if key in made.states}
+    made.states = {state.name: state for state in states}
     found: type[Block] = made
     return found
+
+
+def _free(name: str, known: Collection[str]) -> str:
+    """Return a name that nothing has."""
+    while name in known:
+        name += "_"
+    return name
 
 
 def _told(block: Any) -> dict[str, list[str]]:
@@ -117,21 +132,31 @@ def _told(block: Any) -> dict[str, list[str]]:
 def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
     """Return the outputs of the last hit, and those of the next one."""
     block: Any = self
-    fed = [getattr(u, name) for name in fed_inputs(block)]
+    _, held, taken = block.fmu_steps
+    last = getattr(x, held)
+    fed = [getattr(u, name) + unfed(block, p, name, port) for name, port in fed_inputs(block).items()]
     own = [getattr(p, name) for name in block.fmu_parameters]
     once = [unfed(block, p, name, port) for name, port in set_inputs(block).items()]
-    step = steps_of(block)
-    now = concatenate([ca.SX(0, 1), *fed])
-    given = t, ca.SX(0, 1), x.taken if is_late(block) else now, concatenate([ca.SX(0, 1), *own, *once])
+    now, late = concatenate([ca.SX(0, 1), *fed]), is_late(block)
+    given = ca.SX(0, 1), getattr(x, taken) if late else now, concatenate([ca.SX(0, 1), *own, *once])
+    # t, as a function of a state: what follows time and parameters alone is evaluated beside hits, too
+    time = ca.fmax(t, ca.if_else(last[0] > NEVER, last[0], t)) if last.numel() else t
+    update = {held: steps_of(block).function(time, *given)} | ({taken: now} if late else {})
     outputs, at, told = {}, 0, _told(block)
     for name, port in block.fmu_outputs.items():
-        size = len(port.entries) if name in told else 0
-        outputs[name] = (
-            unflatten(x.held[at : at + size], symbol_shape(port.shape)) if size else zeros(*symbol_shape(port.shape))
-        )
+        size, shape = len(port.entries) if name in told else 0, symbol_shape(port.shape)
+        outputs[name] = unflatten(last[at : at + size], shape) if size else zeros(*shape)
         at += size
-    update = {HELD: step.function(*given)} | ({TAKEN: now} if is_late(block) else {})
     return Equations(outputs, update=update)
+
+
+def _starts(self: Block, p: Any) -> dict[str, Any]:
+    """Return the inputs with which an FMU begins that takes those of the hit before."""
+    block: Any = self
+    if not is_late(block):
+        return {}
+    fed = fed_inputs(block).items()
+    return {block.fmu_steps[2]: concatenate([unfed(block, p, name, port, start=True) for name, port in fed])}
 
 
 class _Step(ca.Callback):
@@ -172,7 +197,6 @@ class Steps:
     u_scales: np.ndarray
     y_scales: np.ndarray
     idle: np.ndarray
-    late: bool
     n_x = 0
 
     @property
@@ -197,14 +221,15 @@ def steps_of(block: Any) -> Steps:
     """Return what is known of the FMU of a block; the same for the same block and file, with equal options."""
     texts, told = texts_of(block), _told(block)
     fed, once = fed_inputs(block), set_inputs(block)
+    u, y = Values([*fed.values()]), Values([block.fmu_outputs[name] for name in told])
+    p = Values([*block.fmu_parameters.values(), *once.values()])
+    about = [(part.names, part.scales.tolist(), part.starts.tolist()) for part in (u, y, p)]
     file = str(block.fmu_path), digest_of(block.fmu_path)
-    identity = repr((block.fmu_block, file, sorted(texts.items(), key=str), [*fed], is_late(block)))
+    identity = repr((block.fmu_block, file, sorted(texts.items(), key=str), about))
     if identity not in _known:
-        u, y = Values([*fed.values()]), Values([block.fmu_outputs[name] for name in told])
-        p = Values([*block.fmu_parameters.values(), *once.values()])
         name = f"fmu_steps_{hashlib.sha256(identity.encode()).hexdigest()[:16]}"
         function = _Step(name, (1, 0, len(u), len(p)), len(y))
         instances = SimpleNamespace(parameters=p, inputs=u, texts=texts)
         idle = np.nan_to_num(u.starts)
-        _known[identity] = Steps(function, instances, u.names, y.names, u.scales, y.scales, idle, is_late(block))
+        _known[identity] = Steps(function, instances, u.names, y.names, u.scales, y.scales, idle)
     return _known[identity]

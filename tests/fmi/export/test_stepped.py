@@ -118,6 +118,58 @@ def test_values_are_in_the_units_of_the_fmu(tmp_path: Path) -> None:
     assert made["it.y"].tolist() == pytest.approx([6e6] * 6)
 
 
+def test_two_exports_of_one_file_have_tables_of_their_own(tmp_path: Path) -> None:
+    """One variable inside more is recorded: the time of the last step."""
+    file = gauge_fmu(tmp_path, description(real=True))
+    for record in (["it.y"], ["it.y", "it.last"]):
+        diagram = with_gauge(file, record=record)
+        made = stepped(exported(diagram, tmp_path / "out.fmu"), diagram, stop_time=0.5)
+        for name, values in columns(diagram, stop=0.5).items():
+            np.testing.assert_allclose(made[name], values, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["communication_step", "held", "taken"])
+def test_names_of_the_fmu_stay_its_own(tmp_path: Path, name: str) -> None:
+    file = gauge_fmu(tmp_path, description(real=True).replace('name="scale"', f'name="{name}"'))
+    diagram = with_gauge(file, **{name: 3.0})
+    made = stepped(exported(diagram, tmp_path / "out.fmu"), diagram, stop_time=0.5)
+    assert made["it.y"].tolist() == [3.0] * 6
+
+
+def test_an_input_of_the_outer_one_reaches_it(tmp_path: Path) -> None:
+    """One that nothing in the diagram feeds, and that it takes beside its own value."""
+    diagram = with_gauge(gauge_fmu(tmp_path, description(real=True)), wires=[], blocks={}, u=1.0)
+    file = exported(diagram, tmp_path / "out.fmu", inputs=["it.u"])
+    given = np.array([(0.0, 4.0), (1.0, 4.0)], dtype=[("time", float), ("it.u", float)])
+    assert stepped(file, diagram, stop_time=0.5, input=given)["it.y"][1:].tolist() == [5.0] * 5
+
+
+@pytest.mark.parametrize("kind", ["cs", "me"])
+def test_it_begins_and_steps_at_hits_alone(fmu: Make, tmp_path: Path, kind: str) -> None:
+    """Fed by what follows time alone: outputs may be read, and parameters set, as often as one likes before."""
+    source = {"type": "constant", "parameters": {"value": 1.0}}
+    diagram = with_gauge(gauge_fmu(tmp_path, description(real=True)), blocks={"in": source}, scale=2.0)
+    with opened(exported(diagram, tmp_path / "out.fmu"), kind) as one:
+        one.enter()
+        assert one.get("it.y").tolist() == [0.0]
+        one.put(["it.scale"], [3.0])
+        one.leave()
+        if kind == "me":
+            assert one.update() == (True, pytest.approx(0.1))
+        assert one.get("it.y").tolist() == [3.0]
+
+
+def test_the_end_that_one_asks_for_is_that_of_the_outer_one(tmp_path: Path) -> None:
+    """FMI 2.0: a step is discarded, and fmi2Terminated is true."""
+    diagram = with_gauge(gauge_fmu(tmp_path, description(real=True)), end_at=0.55)
+    with opened(exported(diagram, tmp_path / "out.fmu"), "cs", log=True) as one:
+        one.begin()
+        one.walk(["it.y"], 5, 0.1)
+        with pytest.raises(Exception, match=r"DoStep failed with status 2 \(discard\)"):
+            one.step(0.5, 0.1)
+        assert "it asks for the end of the simulation (t = 0.6 s)" in [text for _, _, text in one.messages]
+
+
 @pytest.mark.parametrize("outer", ["2.0", "3.0"])
 def test_a_step_that_fails_is_told(tmp_path: Path, outer: str) -> None:
     make_fmu(tmp_path / "plant2.fmu")

@@ -182,17 +182,16 @@ static int rf_settle(rf_inner *n) {
                                 ((get_)rf_find(n, "GetContinuousStates"))(n->at.instance, n->x, (size_t)n->fmu.n_x));
 }
 
-/* Begin anew at the start of this instance, with parameters p and inputs u, SI. */
-static int rf_begin_inner(rf_inner *n, const double *p, const double *u) {
+/* Begin anew at a start time, with parameters p and inputs u, SI. */
+static int rf_begin_inner(rf_inner *n, double start, const double *p, const double *u) {
   typedef int (*setup2)(void *, int, double, double, int, double);
   typedef int (*enter3)(void *, bool, double, double, bool, double);
-  const double start = n->outer->d[RF_START];
   if (!n->fresh) {
     rf_drop(n);
     if (rf_instantiate(n)) return 1;
   }
   n->fresh = n->states = n->nominals = 0;
-  n->time = start, n->steps = 0.0;
+  n->time = n->since = start, n->steps = 0.0;
   if (rf_set_variables(n, p, u)) return 1;
   if (n->model->version == 2) {
     const rf_function setup = rf_find(n, "SetupExperiment");
@@ -218,13 +217,17 @@ static int rf_begin_inner(rf_inner *n, const double *p, const double *u) {
 static int rf_step_on(rf_inner *n) {
   typedef int (*do2)(void *, double, double, int);
   typedef int (*do3)(void *, double, double, bool, bool *, bool *, bool *, double *);
-  const double h = n->model->step, from = n->outer->d[RF_START] + n->steps * h;
+  typedef int (*ask2)(void *, int, int *);
+  const double h = n->model->step, from = n->since + n->steps * h;
+  const int two = n->model->version == 2;
   double last = 0.0;
   bool event = false, end = false, early = false;
-  const rf_function step = rf_find(n, "DoStep");
-  if (rf_wrong(n, "DoStep", n->model->version == 2 ? ((do2)step)(n->at.instance, from, h, 0)
-                                                   : ((do3)step)(n->at.instance, from, h, false, &event, &end, &early, &last)))
-    return 1;
+  const rf_function step = rf_find(n, "DoStep"), ask = two ? rf_find(n, "GetBooleanStatus") : 0;
+  const int status = two ? ((do2)step)(n->at.instance, from, h, 0)
+                         : ((do3)step)(n->at.instance, from, h, false, &event, &end, &early, &last);
+  int ended = 0; /* of FMI 2 a step that is discarded may be the last one: fmi2Terminated */
+  if (two && status == RF_DISCARD && ask && !((ask2)ask)(n->at.instance, 3, &ended)) end = ended != 0;
+  if (!end && rf_wrong(n, "DoStep", status)) return 1;
   n->steps += 1.0;
   n->time = from + h;
   if (end) {
@@ -239,11 +242,11 @@ static int rf_step_on(rf_inner *n) {
 static int rf_step_inner(rf_inner *n, double t, const double *u, const double *p) {
   rs_fmu *f = &n->fmu;
   const int two = f->version == 2, begins = !n->begun;
-  const double due = n->outer->d[RF_START] + (n->steps + 1.0) * n->model->step;
-  if (begins && rf_begin_inner(n, p, n->model->late ? n->model->starts + f->n_p : u)) return 1;
+  const double due = n->since + (n->steps + 1.0) * n->model->step;
+  if (begins && rf_begin_inner(n, t, p, u)) return 1;
   if (!begins && memcmp(p, n->p, (size_t)f->n_p * sizeof *p))
     return rf_failed(n, RF_ERROR, "cannot take other parameters after its initialisation");
-  if (!begins && t < due - 1e-6 * n->model->step) return 0; /* a hit of another block: nobody takes what is told now */
+  if (!begins && t < due - 1e-6 * n->model->step - 8.0 * DBL_EPSILON * fabs(t)) return 0; /* a hit of another block: nobody takes what is told now */
   for (int64_t k = 0; k < f->n_u; ++k) f->work[k] = (u[k] - f->u_scales[2 * k + 1]) / f->u_scales[2 * k];
   if (!begins && f->n_u &&
       rf_wrong(n, two ? "SetReal" : "SetFloat64", access_real(f, f->set_real, n->at.instance, 0, f->work, f->n_u)))
@@ -291,7 +294,7 @@ static void rf_call(const double *p, int k, const double *arguments, double *res
       rf_failed(n, RF_ERROR, "gives an output that is not finite");
     }
   } else if (i->status < RF_DISCARD && rf_calls[k].what == RF_AT_BEGIN) {
-    if (!rf_begin_inner(n, part[3], part[2])) {
+    if (!rf_begin_inner(n, i->d[RF_START], part[3], part[2])) {
       memcpy(results, n->x, (size_t)n->fmu.n_x * sizeof *results);
       return;
     }
@@ -299,7 +302,7 @@ static void rf_call(const double *p, int k, const double *arguments, double *res
     const int same = n->begun && memcmp(part[3], n->p, (size_t)n->fmu.n_p * sizeof *part[3]) == 0;
     if (n->begun && !same && !((int)i->d[RF_PHASE] & (RF_INSTANTIATED | RF_INITIALISING)))
       rf_failed(n, RF_ERROR, "cannot take other parameters after its initialisation");
-    else if (same || !rf_begin_inner(n, part[3], n->model->starts + n->fmu.n_p)) {
+    else if (same || !rf_begin_inner(n, i->d[RF_START], part[3], n->model->starts + n->fmu.n_p)) {
       n->time = *part[0];
       if (!n->fmu.n_x && *part[0] >= n->at.due)
         rf_failed(n, RF_ERROR, "has a time event at t = %.9g s and no states", n->at.due);

@@ -16,12 +16,11 @@ typedef struct {
 
 /* counts: of value references of inputs and outputs, which with arrays are fewer than the values. scales (n, 2): SI =
  * factor value + offset. starts, known: SI, of [parameters; inputs]; idle: inputs where none are given; constants: as they
- * are set. at_x: place of its states. step: of one for Co-Simulation [s], else 0;
- * late: it takes inputs of the hit before. */
+ * are set. at_x: place of its states. step: of one for Co-Simulation [s], else 0. */
 typedef struct {
   const char *block, *library, *resources, *token;
   double step;
-  int version, late, reports, at_x, at_z, n_x, n_u, n_y, n_z, n_p, counts[2], n_settings, n_constants, n_categories, largest;
+  int version, reports, at_x, at_z, n_x, n_u, n_y, n_z, n_p, counts[2], n_settings, n_constants, n_categories, largest;
   const uint32_t *u_refs, *y_refs;
   const double *u_scales, *y_scales, *starts, *idle, *scales, *constants;
   const rf_setting *settings;
@@ -46,7 +45,8 @@ typedef struct { /* fmi2CallbackFunctions */
 
 /* An instance of an FMU inside, with parameters p as it was begun: x, its states after the last event, values that are set.
  * made: how many there have been; fresh: instantiated and no more; begun: past its initialisation; states, nominals:
- * whether the last event has changed them; time: of what it was asked last; steps: since the start. */
+ * whether the last event has changed them; time: of what it was asked last; since: when it has begun; steps: since
+ * then. */
 typedef struct {
   rs_fmu fmu;
   rs_instance at;
@@ -57,7 +57,7 @@ typedef struct {
   double *memory, *p, *x, *zeros, *out, *values;
   void *buffer;
   int made, fresh, begun, states, nominals;
-  double time, steps;
+  double time, since, steps;
   rf_callbacks callbacks;
 } rf_inner;
 

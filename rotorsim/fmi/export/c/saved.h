@@ -3,9 +3,9 @@
 
 /* made: number of each instance inside when it was saved; of another one its state may not be that of this FMU. */
 typedef struct {
-  double d[RF_TOTAL], p[RF_NESTED_P + 1], due[RF_NESTED], time[RF_NESTED], steps[RF_NESTED];
+  double d[RF_TOTAL], p[RF_NESTED_P + 1], due[RF_NESTED], time[RF_NESTED], since[RF_NESTED], steps[RF_NESTED];
   rf_switching at;
-  int ended, made[RF_NESTED], begun[RF_NESTED];
+  int ended, made[RF_NESTED], begun[RF_NESTED], fresh[RF_NESTED];
   void *inner[RF_NESTED];
 } rf_saved;
 
@@ -43,8 +43,8 @@ static int rf_save(rf_instance *i, void **state) {
   for (int k = 0; k < RF_NESTED && i->status < RF_DISCARD; p += i->inner[k++].model->n_p) {
     rf_inner *n = i->inner + k;
     if (saved->made[k] != n->made) saved->inner[k] = 0;
-    saved->made[k] = n->made, saved->begun[k] = n->begun, saved->due[k] = n->at.due;
-    saved->time[k] = n->time, saved->steps[k] = n->steps;
+    saved->made[k] = n->made, saved->begun[k] = n->begun, saved->fresh[k] = n->fresh, saved->due[k] = n->at.due;
+    saved->time[k] = n->time, saved->since[k] = n->since, saved->steps[k] = n->steps;
     memcpy(p, n->p, (size_t)n->model->n_p * sizeof *p);
     rf_inner_state(n, "Get", saved->inner + k);
   }
@@ -67,8 +67,8 @@ static int rf_restore(rf_instance *i, const char *function, const void *state) {
   for (int k = 0; k < RF_NESTED && i->status < RF_DISCARD; p += i->inner[k++].model->n_p) {
     rf_inner *n = i->inner + k;
     void *inner = saved->inner[k];
-    n->begun = saved->begun[k], n->fresh = !n->begun, n->at.due = saved->due[k];
-    n->time = saved->time[k], n->steps = saved->steps[k];
+    n->begun = saved->begun[k], n->fresh = saved->fresh[k], n->at.due = saved->due[k];
+    n->time = saved->time[k], n->since = saved->since[k], n->steps = saved->steps[k];
     memcpy(n->p, p, (size_t)n->model->n_p * sizeof *p);
     rf_inner_state(n, "Set", &inner);
   }
