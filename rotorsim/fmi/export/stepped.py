@@ -26,7 +26,7 @@ from rotorsim.fmi.ports import FmuPort, symbol_shape, unfed
 from rotorsim.model.trace.order import block_traces, evaluation_groups, feedthrough_graph
 
 NAMES = "communication_step", "held", "taken"  # of a parameter and two states that are added
-NEVER = 1e300  # of an output: no number of a machine
+NO_OUTPUT = 1e300  # of an output: no number of a machine
 
 
 def is_stepped(block: Any) -> bool:
@@ -140,7 +140,7 @@ def _equations(self: Block, p: Any, u: Any, x: Any, t: Any) -> Equations:
     now, late = concatenate([ca.SX(0, 1), *fed]), is_late(block)
     given = ca.SX(0, 1), getattr(x, taken) if late else now, concatenate([ca.SX(0, 1), *own, *once])
     # t, as a function of a state: what follows time and parameters alone is evaluated beside hits, too
-    time = ca.fmax(t, ca.if_else(last[0] > NEVER, last[0], t)) if last.numel() else t
+    time = ca.fmax(t, ca.if_else(last[0] > NO_OUTPUT, last[0], t)) if last.numel() else t
     update = {held: steps_of(block).function(time, *given)} | ({taken: now} if late else {})
     outputs, at, told = {}, 0, _told(block)
     for name, port in block.fmu_outputs.items():
