@@ -17,7 +17,7 @@ from scipy.linalg.lapack import zgetrf, zgetrs
 
 from rotorsim.settled.resolvent import Resolvent, shifted
 
-MOST_KEPT = 64 << 20  # bytes of factors
+FACTORS_KEPT = 64 << 20  # bytes of factors
 RANK = 1e-10  # of the largest, for directions in units of the rows of A
 
 Factor = tuple[np.ndarray, np.ndarray]
@@ -92,7 +92,7 @@ def _factors_of(A: np.ndarray, s: np.ndarray, states: np.ndarray) -> list[Factor
         factors = [(lu, pivots) for lu, pivots, _ in found]
     _kept[key] = factors
     size = A.size * s.size * s.itemsize
-    while len(_kept) * size > MOST_KEPT:
+    while len(_kept) * size > FACTORS_KEPT:
         _kept.popitem(last=False)
     return factors
 

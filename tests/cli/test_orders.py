@@ -95,6 +95,7 @@ def test_verbs_that_need_samples_refuse_orders(case, run: Run):
     assert "hint: 'identify', 'diagnose', 'run --input' and 'check' take them" in done.stderr
 
 
+@pytest.mark.slow
 def test_diagnose_takes_orders_and_writes_bode_plots(case, run: Run, tmp_path):
     physics = ("--physics", "cubic_stiffness", "--workers", "1")
     with undrawn():

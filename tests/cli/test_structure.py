@@ -123,6 +123,7 @@ def test_like_faults_of_several_nodes_stand_in_one_line(run: Run):
     assert lines[start + 1] == "  rotor.force[2-5]: residual_bow, thermal_bow (at each node)"
 
 
+@pytest.mark.slow
 def test_angles_are_no_harmonics(run: Run):
     """Ports that turn with the shaft are left out of what could be added, and said where they are asked for."""
     result = run("diagnose", "jeffcott_elementary", "--sensors", "rotor.displacement")

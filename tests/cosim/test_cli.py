@@ -76,6 +76,7 @@ def test_a_loop_that_is_unstable_as_a_whole(run: Run, tmp_path: Path) -> None:
     assert done.stderr.startswith("error: the loop is unstable as a whole, with any step\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [("--adaptive", "1e-3"), ("--no-check",)])
 def test_a_motion_that_explodes_is_not_finished_where_nothing_was_analysed(run: Run, more: tuple[str, ...]) -> None:
     """The pole of KD = -5 grows at 33.7 1/s: in 0.4 s by e^13 = 7e5."""

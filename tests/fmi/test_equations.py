@@ -96,7 +96,7 @@ def test_where_states_begin_follows_from_parameters(fmu: Make) -> None:
 @pytest.mark.parametrize("lacks", [(), ("adjoint",), ("directional",), ("directional", "adjoint")])
 @pytest.mark.parametrize("way", ["forward", "reverse"])
 @pytest.mark.parametrize("linear", [False, True])
-@pytest.mark.parametrize("in_process", [False, True])
+@pytest.mark.parametrize("in_process", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_derivatives_are_those_of_the_plain_equations(
     fmu: Make, lacks: tuple[str, ...], way: str, linear: bool, in_process: bool
 ) -> None:
@@ -229,6 +229,7 @@ FAULTY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTY)
 def test_a_failure_inside_ends_the_run_with_what_there_is(plants: Path, fault: str) -> None:
     diagram = of_plant(plants, in_process=fault in ("fail", "nan"), fault=FAULTS.index(fault), fault_time=0.1)

@@ -202,6 +202,7 @@ def test_a_run_leaves_the_equations_as_they_begin(file: Path) -> None:
 TOLD = (("clock", {}), ("ball", {}), ("two", {}), ("late", {"x0": 0.0, "high": 0.7031}), ("late", {"stop_at": 0.355}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize("in_process", [True, False])
 @pytest.mark.parametrize(("model", "values"), TOLD)

@@ -133,6 +133,7 @@ def test_what_only_goes_on_beyond_the_laws_is_no_result_of_the_search():
     assert found.cost == search.evaluate(found.unknowns, found.sub).cost > 10 * beyond.cost
 
 
+@pytest.mark.slow
 def test_a_dead_zone_that_empties_the_tank_is_found_and_that_is_said():
     """FAULT: with it the diagram takes the root of a level below zero, and so it was never fitted."""
     done = diagnose(

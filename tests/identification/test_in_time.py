@@ -95,6 +95,7 @@ def test_intervals_cover_the_truth_as_often_as_they_claim(diagram):
     assert low <= sum(covered) <= high
 
 
+@pytest.mark.slow
 def test_a_start_at_which_output_error_is_lost_is_left_by_multiple_shooting(diagram):
     soft = {"type": "gain", "parameters": {"gain": 150.0}}
     far = load({**OSCILLATOR, "blocks": {**OSCILLATOR["blocks"], "spring": soft}})
@@ -149,6 +150,7 @@ def test_what_the_data_do_not_tell_is_said_with_the_experiment_that_would(diagra
     assert found.parameters["spring.gain"].verdict.identifiable
 
 
+@pytest.mark.slow
 def test_a_model_that_lacks_physics_is_said_not_to_explain_the_data(diagram):
     time = even(1500)
     u = pushes(time, 5)

@@ -23,6 +23,7 @@ def test_an_unstable_system_stops_with_time_block_and_cause_and_keeps_what_it_co
     assert 300 < len(result.time) < 400  # e^(2000 t) overflows near t = 0.355 s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["dop853", "rk45", "radau", "bdf", "lsoda"])
 def test_methods_of_variable_step_end_where_a_state_has_become_too_large(method):
     """At 1e100: e^(2000 t) / 2000 is there near t = 0.12 s. Beyond, LSODA never ends, and Radau fails."""

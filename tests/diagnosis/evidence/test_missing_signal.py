@@ -152,6 +152,7 @@ def test_a_map_explains_what_follows_from_a_signal_and_nothing_else():
     assert explained_by(np.ones(4000), x) == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_what_only_adds_promises_the_same_where_places_act_in_proportion(lacking):
     """A function of the reference, added to the brake's force or, negative, to the sum behind it."""
     evidence, before, *_ = lacking
@@ -200,6 +201,7 @@ def test_sensitivities_that_overflow_are_a_failure_and_no_warning(lacking):
     assert found.failure == "the sensitivities of the simulation diverge"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("slow", "size"), [(5000.0, 1.0), (1.0, 1e-6)])
 def test_slow_and_small_machines_are_promised_the_same_laws(lacking, slow, size):
     """FAULT: beside samples seconds apart, a mode began below what its block allows, and the diagnosis ended.

@@ -54,6 +54,7 @@ def rows_of(memory: float, seed: int, count: int = 100) -> np.ndarray:
     return lfilter([1.0], [1, -memory], random.normal(size=count + 50) + 1j * random.normal(size=count + 50))[50:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [70, 100])
 def test_white_rows_are_white_as_often_as_the_probability_says(count):
     """At most as often as it says (Bonferroni), + 3 standard deviations, in the tail that decides as well."""
@@ -66,6 +67,7 @@ def test_white_rows_are_white_as_often_as_the_probability_says(count):
     assert (found < 1e-4).sum() <= 2
 
 
+@pytest.mark.slow
 def test_rows_that_are_lost_do_not_make_white_rows_less_white():
     random = np.random.default_rng(5)
     there = random.random(100) < 0.7
@@ -141,6 +143,7 @@ def test_a_whitened_search_takes_the_row_before_away_and_begins_anew_after_a_gap
     np.testing.assert_allclose(np.nan_to_num(J[:, :, 2])[np.isfinite(slope)], slope[np.isfinite(slope)], rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.8])
 def test_where_nothing_is_hidden_the_noise_is_found(diagram, tmp_path, memory):
     recording = load_orders(run_up(tmp_path / "r", drawn(3), 3, memory))
@@ -182,6 +185,7 @@ def test_the_misfit_of_data_left_out_is_that_of_their_covariance():
 # -- verdicts ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_cubic_spring_is_named_and_predicts_a_coast_down(diagram, tmp_path):
     disc = drawn(1, cubic=1e12)
     up, down = passage(disc, 1250.0, 230.0), passage(disc, 2050.0, -150.0)
@@ -233,6 +237,7 @@ def test_planes_that_differ_are_named_with_two_probes_and_said_to_be_unseen_with
     assert alone.next_experiment == f"a second probe at right angles: {ACROSS}"
 
 
+@pytest.mark.slow
 def test_a_bow_is_what_slow_roll_and_unbalance_take_up_and_that_is_said(diagram, tmp_path):
     found = diagnosed(diagram, run_up(tmp_path / "r", drawn(1, bow=4e-6), 1, axes="xy"), ["residual_bow"])
     assert found.verdict == "consistent"
@@ -264,6 +269,7 @@ def test_few_rows_are_never_consistent(diagram, tmp_path):
     assert found.next_experiment == f"{rows}; a second probe at right angles: {ACROSS}"
 
 
+@pytest.mark.slow
 def test_rows_at_one_speed_are_never_consistent(diagram, tmp_path):
     speed, vectors = passage(drawn(2), 1250.0, 20.0, rows=100)
     folder = write_runs(tmp_path / "r", {"up": (speed, recorded(vectors[:, :1], 2))})

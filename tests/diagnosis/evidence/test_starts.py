@@ -47,6 +47,7 @@ def test_samples_that_are_missing_do_not_hide_a_line():
     assert abs(dominant_line(parts, DT).frequency - 23.4) * SIZES[0] * DT < np.pi / 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tau", [1.5, 20.0, 400.0])
 def test_noise_of_any_memory_has_no_line_and_a_line_stands_out_unless_it_is_hum(tau):
     """Ninety draws of a level of 10^-4 in all. The line has 2 % of the power of the noise, or 0.1 % of slow noise."""
@@ -81,6 +82,7 @@ def stepped(seed: int) -> dict[str, np.ndarray]:
     return data
 
 
+@pytest.mark.slow
 def test_a_step_behind_the_samples_that_starts_are_chosen_on_is_found(monkeypatch):
     """FAULT: of 15000 samples the first 8192 were looked at, and a reading that jumped at 80 % was `consistent`."""
     monkeypatch.setattr(fits, "SHORT", 800)
@@ -131,6 +133,7 @@ def test_without_a_residual_the_onsets_are_eighths_of_the_longest_run():
     assert [start["time"] for start in starts_of(item, {LONGEST: 8.0, ONSETS[1]: 2.5})] == [1.0, 2.5, 5.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frequency", [17.0, pytest.param(60.0, marks=pytest.mark.slow)])
 def test_a_mode_that_is_broad_is_found_at_any_frequency(frequency):
     """FAULT: searched from 1.5, 7.5 and 37.5 rad/s with a damping ratio of 0.1, one with 0.3 was called a delay, two

@@ -222,6 +222,7 @@ def test_the_power_of_a_law_follows_that_of_the_motion(power, law):
     assert found[:, 0].std() < 1.5 * found[:, 1].mean() < 0.25
 
 
+@pytest.mark.slow
 def test_gaussian_noise_beside_any_motion_is_a_disturbance_and_what_laws_make_is_none():
     """Level: three standard deviations of either, 0.5 % together; the scatter of the exponent is itself estimated."""
     assert sum(may_be_a_law(tried(seed, lambda v, n: n)) for seed in range(100)) <= 3

@@ -88,6 +88,7 @@ def test_the_repaired_diagram_moves_as_the_machine(tmp_path):
     assert rest == pytest.approx(float(roots[np.abs(roots.imag) < 1e-9][0].real), rel=5e-3)
 
 
+@pytest.mark.slow
 def test_the_statement_gives_errors_in_the_units_of_the_signals():
     text = diagnosed(machines.CUBIC, machines.NOISE).statement
     assert "Missing physics: cubic_stiffness at oscillator.force (stiffness " in text

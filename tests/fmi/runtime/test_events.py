@@ -127,6 +127,7 @@ def test_time_events_are_met_exactly(fmu: Path, run: Run) -> None:
     assert np.array_equal(np.unique(found["it.when"])[1:], [k * tick for k in range(1, int(n[-1]) + 1)])
 
 
+@pytest.mark.slow
 def test_more_time_events_than_steps(fmu: Path, run: Run) -> None:
     found = run(fmu, "clock", 1.0, tick=H / 7.3)
     n = np.floor(found.time / (H / 7.3) + 1e-9)
