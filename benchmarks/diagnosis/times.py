@@ -18,11 +18,8 @@ from pathlib import Path
 from benchmarks.harness import Line, at_most, markdown, run_process
 
 COMMAND = [sys.executable, "-m", "rotorsim", "diagnose"]
-MOST, MEDIAN, NOTHING = (
-    60.0,
-    40.0,
-    45.0,
-)  # s, on two idle cores: any, the median of all, where nothing explains the rest
+# s, on two idle cores: any machine, the median of all, where nothing explains the rest
+MOST, MEDIAN, NOTHING = 60.0, 40.0, 45.0
 
 
 def processor() -> str:
@@ -44,9 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     folder = chosen.recordings.resolve() / chosen.sets
     lines, walls = [], []
-    for case in sorted(
-        path for path in folder.iterdir() if path.is_dir() and (not chosen.only or path.name in chosen.only)
-    ):
+    every = sorted(path for path in folder.iterdir() if path.is_dir())
+    for case in [path for path in every if not chosen.only or path.name in chosen.only]:
         held = folder.with_name(f"{folder.name}_hold_out") / case.name
         with tempfile.TemporaryDirectory() as out:
             more = ["--hold-out", str(held)] if held.is_dir() else []

@@ -71,8 +71,9 @@ def export(
 ) -> None:
     """Write a diagram, or some of its blocks, as an FMU for model exchange and co-simulation.
 
-    With --block, what comes from other blocks becomes an input. Co-simulation takes the diagram's own step. FMUs for
-    Model Exchange in the diagram go along inside (--trust-blocks: their code is run).
+    With --block, what comes from other blocks becomes an input. Co-simulation takes the diagram's own step. FMUs in the
+    diagram go along inside (--trust-blocks: their code is run); a step at which those for Co-Simulation make a stable
+    loop unstable is refused, as by `rotorsim run`.
 
     \b
     rotorsim fmu export jeffcott -o jeffcott.fmu
@@ -80,7 +81,12 @@ def export(
     """
     loaded = chosen.open()
     from rotorsim.fmi.export.export import export_fmu
+    from rotorsim.fmi.export.nested import couples_by_steps
 
+    if not blocks and couples_by_steps(loaded):
+        from rotorsim.simulation.run import simulate
+
+        simulate(loaded, stop=loaded.solver.step)  # refuses a step that must diverge
     done = export_fmu(
         loaded,
         out,

@@ -89,6 +89,7 @@ def run_adaptive(
                 verdict = Verdict("diverged", _failure(model, instance, part, reached))
                 break
             x, t = np.array(part.y[:, -1]), reached
+            kept.begin(t, x)
             if part.status == 1:  # step over the crossing: far enough to be behind it, too little to matter
                 counters["events"] += 1
                 beyond = AT * h

@@ -13,7 +13,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.fmi.description.archive import Archive
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
-from rotorsim.fmi.description.platforms import SUFFIXES, library_folder, platform_of
+from rotorsim.fmi.description.platforms import SUFFIXES, library_folder, platform_of, this_platform
 from rotorsim.fmi.export.stepped import Steps, fed_inputs, is_stepped, set_inputs, steps_of
 from rotorsim.fmi.export.tables import number, table, text
 from rotorsim.fmi.functions import FmuFunctions, digest_of, functions_of, held_inputs, moving_inputs
@@ -112,6 +112,14 @@ def _fmu_block(diagram: Diagram, name: str) -> Any:
     """Return the block of type fmu of this name, or None where it is of another type."""
     block = diagram.nodes[name].block
     return block if block.opaque else None
+
+
+def couples_by_steps(diagram: Diagram) -> bool:
+    """Return whether a diagram has FMUs for Co-Simulation that run on this machine."""
+    every = [block for name in diagram.nodes if (block := _fmu_block(diagram, name)) is not None]
+    hidden = [block.fmu_description for block in every if interface_of(block) == "cs"]
+    here = this_platform()
+    return bool(hidden) and all(here in map(platform_of, one.platforms) for one in hidden)
 
 
 def _why_not(block: Any, step: float) -> tuple[str, str]:

@@ -11,7 +11,6 @@ import hashlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -187,11 +186,20 @@ class _Step(ca.Callback):
 
 
 @dataclass(frozen=True, eq=False)
+class Given:
+    """What an FMU is given before it begins. texts: values of variables that are no numbers."""
+
+    parameters: Values
+    inputs: Values
+    texts: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
 class Steps:
     """What exported C knows of an FMU for Co-Simulation, named as of one for Model Exchange (`FmuEquations`)."""
 
     function: _Step
-    instances: Any  # parameters, inputs: `Values`; texts
+    instances: Given
     u_names: list[str]
     y_names: list[str]
     u_scales: np.ndarray
@@ -229,7 +237,6 @@ def steps_of(block: Any) -> Steps:
     if identity not in _known:
         name = f"fmu_steps_{hashlib.sha256(identity.encode()).hexdigest()[:16]}"
         function = _Step(name, (1, 0, len(u), len(p)), len(y))
-        instances = SimpleNamespace(parameters=p, inputs=u, texts=texts)
         idle = np.nan_to_num(u.starts)
-        _known[identity] = Steps(function, instances, u.names, y.names, u.scales, y.scales, idle)
+        _known[identity] = Steps(function, Given(p, u, texts), u.names, y.names, u.scales, y.scales, idle)
     return _known[identity]

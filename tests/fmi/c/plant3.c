@@ -106,7 +106,6 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte data[], size_t
     memcpy(*s, data, n);
     return fmi3OK;
 }
-/* Only of der(v) by u, x and v: arrays of N numbers each. */
 /* Of der(x) (3), der(v) (4) and y (6), by x (1), v (2) and u (5). */
 static double slope_by(const Plant *p, unsigned of, unsigned by) {
     if (of == 3) return by == 2 ? 1.0 : 0.0;
@@ -114,23 +113,23 @@ static double slope_by(const Plant *p, unsigned of, unsigned by) {
     return of != 4 ? 0.0 : by == 5 ? 1.0 : by == 1 ? -p->stiffness : -p->damping;
 }
 
-fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference of[], size_t n,
-        const fmi3ValueReference by[], size_t m, const fmi3Float64 seed[], size_t ns, fmi3Float64 out[], size_t no) {
+/* out += J seed, or J^T seed; J of the unknowns `of` by the knowns `by`. */
+static fmi3Status product(const Plant *p, const fmi3ValueReference of[], size_t n, const fmi3ValueReference by[], size_t m,
+        const fmi3Float64 seed[], fmi3Float64 out[], size_t no, int transposed) {
     for (size_t k = 0; k < no; k++) out[k] = 0.0;
     for (size_t i = 0; i < n; i++)
         for (size_t j = 0; j < m; j++)
             for (int k = 0; k < N; k++)
-                out[N * i + k] += seed[N * j + k] * slope_by(P, of[i], by[j]);
+                out[N * (transposed ? j : i) + k] += seed[N * (transposed ? i : j) + k] * slope_by(p, of[i], by[j]);
     return fmi3OK;
+}
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference of[], size_t n,
+        const fmi3ValueReference by[], size_t m, const fmi3Float64 seed[], size_t ns, fmi3Float64 out[], size_t no) {
+    return product(P, of, n, by, m, seed, out, no, 0);
 }
 fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference of[], size_t n,
         const fmi3ValueReference by[], size_t m, const fmi3Float64 seed[], size_t ns, fmi3Float64 out[], size_t no) {
-    for (size_t k = 0; k < no; k++) out[k] = 0.0;
-    for (size_t i = 0; i < n; i++)
-        for (size_t j = 0; j < m; j++)
-            for (int k = 0; k < N; k++)
-                out[N * j + k] += seed[N * i + k] * slope_by(P, of[i], by[j]);
-    return fmi3OK;
+    return product(P, of, n, by, m, seed, out, no, 1);
 }
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *more, fmi3Boolean *end, fmi3Boolean *nominals,
         fmi3Boolean *states, fmi3Boolean *defined, fmi3Float64 *next) {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -188,6 +189,18 @@ def test_the_export_says_what_it_costs(fmu: Make, tmp_path: Path) -> None:
     assert str(said) == (
         "warning: rotor: is stepped by 0.0001 s with held inputs, which costs accuracy\n\n"
         "hint: `rotorsim run` of the diagram tells how much; a smaller step of the diagram costs less"
+    )
+
+
+def test_the_command_refuses_a_step_that_makes_the_loop_unstable(fmu: Make, run: Any) -> None:
+    document = dict(with_fmu(fmu, "controller", interface="cs").document)
+    for step in ("0.1 ms", "1 ms"):
+        Path("loop.json").write_text(json.dumps({**document, "solver": {**document["solver"], "step": step}}))
+        done = run("fmu", "export", "loop.json", "--trust-blocks", "-o", f"{step[0]}.fmu")
+        assert (done.exit_code, Path(f"{step[0]}.fmu").exists()) == ((0, True) if step == "0.1 ms" else (1, False))
+    assert done.stderr.endswith(
+        "error: step 0.001 s, gauss_seidel: with this step the coupled loop is unstable; the largest stable step is "
+        "0.000788 s\n\nhint: a smaller step, or another master (iterative bears the largest steps)\n"
     )
 
 

@@ -59,8 +59,8 @@ def open_harmonics(
     steps, unseen = stated_steps(diagram, recording)
     notes = [*warnings, *unseen]
     conditions = Conditions(steps)
-    fitted = cache(_fitted)
-    given, extra = harmonic_evidence(empty, hold_out, conditions, notes, fitted)
+    readings = Readings()
+    given, extra = harmonic_evidence(empty, hold_out, conditions, notes, readings)
     _refuse_still(given.open(given.load(with_uncertain(diagram))))  # says what is wrong, and where
     before, refined = base_fit(diagram, given)
     for _ in range(PICKUPS):
@@ -68,12 +68,12 @@ def open_harmonics(
         if not more:
             break
         conditions = replace(conditions, picked=[*conditions.picked, *more])
-        given, extra = harmonic_evidence(empty, hold_out, conditions, notes, fitted)
+        given, extra = harmonic_evidence(empty, hold_out, conditions, notes, readings)
         before, refined = base_fit(diagram, given)
     drifts = {} if before.failure else find_drifts(before, given)
     if drifts:
         drifting = replace(conditions, drifts=drifts)
-        less, less_extra = harmonic_evidence(empty, hold_out, drifting, notes, fitted)
+        less, less_extra = harmonic_evidence(empty, hold_out, drifting, notes, readings)
         fit, finer = base_fit(diagram, less)
         if tells_drifts(fit):  # else what the diagram lacks may drift, too
             conditions, given, extra, before, refined = drifting, less, less_extra, fit, finer
@@ -83,7 +83,8 @@ def open_harmonics(
     if converters:
         found = {name: step for converter in converters for name, step in converter.steps.items()}
         notes += [problem for converter in converters for problem in converter.warnings]
-        evidence, extra = harmonic_evidence(empty, hold_out, replace(conditions, steps={**steps, **found}), notes)
+        found = {**steps, **found}
+        evidence, extra = harmonic_evidence(empty, hold_out, replace(conditions, steps=found), notes, readings)
         base, refined = base_fit(evidence.load(converters[-1].document), evidence)
     return Opened(
         evidence=replace(evidence, standing=base.nuisances, given=before.free),
@@ -97,6 +98,19 @@ def open_harmonics(
     )
 
 
+class Readings:
+    """Recordings before their converters, and the harmonics of their runs: each found once."""
+
+    def __init__(self) -> None:
+        self._before = cache(lambda recording, steps: through_converters(recording, dict(steps)))
+        self.fitted: Callable[[Recording, str], list[RunHarmonics]] = cache(_fitted)
+
+    def before(self, recording: Recording, steps: Mapping[str, Step]) -> Recording:
+        """Return a recording with the signals that went into converters of these steps."""
+        found: Recording = self._before(recording, tuple(sorted(steps.items())))
+        return found
+
+
 def _fitted(recording: Recording, use: str) -> list[RunHarmonics]:
     """Return the harmonics of the runs of a recording for a use; "": of all of them."""
     runs = recording.select(use) if use else recording.runs
@@ -108,11 +122,12 @@ def harmonic_evidence(
     hold_out: Recording | None,
     conditions: Conditions,
     earlier: Sequence[Problem] = (),
-    fitted: Callable[[Recording, str], list[RunHarmonics]] = _fitted,
+    readings: Readings | None = None,
 ) -> tuple[HarmonicEvidence, list[Problem]]:
     """Return the harmonics of recordings under conditions, and warnings; earlier: those of before, for the error."""
-    recording = through_converters(empty.recording, conditions.steps)
-    hold_out = None if hold_out is None else through_converters(hold_out, conditions.steps)
+    readings = readings or Readings()
+    fitted, recording = readings.fitted, readings.before(empty.recording, conditions.steps)
+    hold_out = None if hold_out is None else readings.before(hold_out, conditions.steps)
     warnings: list[Problem] = []
     harmonics = settled_runs(fitted(recording, "identify"), warnings, "used")
     if not harmonics:

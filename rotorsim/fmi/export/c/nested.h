@@ -246,7 +246,8 @@ static int rf_step_inner(rf_inner *n, double t, const double *u, const double *p
   if (begins && rf_begin_inner(n, t, p, u)) return 1;
   if (!begins && memcmp(p, n->p, (size_t)f->n_p * sizeof *p))
     return rf_failed(n, RF_ERROR, "cannot take other parameters after its initialisation");
-  if (!begins && t < due - 1e-6 * n->model->step - 8.0 * DBL_EPSILON * fabs(t)) return 0; /* a hit of another block: nobody takes what is told now */
+  /* at a hit of another block nobody takes what is told */
+  if (!begins && t < due - 1e-6 * n->model->step - 8.0 * DBL_EPSILON * fabs(t)) return 0;
   for (int64_t k = 0; k < f->n_u; ++k) f->work[k] = (u[k] - f->u_scales[2 * k + 1]) / f->u_scales[2 * k];
   if (!begins && f->n_u &&
       rf_wrong(n, two ? "SetReal" : "SetFloat64", access_real(f, f->set_real, n->at.instance, 0, f->work, f->n_u)))
