@@ -7,7 +7,7 @@ parameters do; it says nothing about whether the equations are those of a machin
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -26,7 +26,7 @@ from rotorsim.identification.study.plan import Study
 from rotorsim.identification.verdict import judge
 from rotorsim.jobs.threads import one_thread
 from rotorsim.linear.linearisation import can_move, flat_names, refuse_sampled
-from rotorsim.measure.record import measure, with_noise
+from rotorsim.measure.record import measure, steps_of, with_noise
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, AXES, Channel, Recording, Run
 from rotorsim.settled.equations import slots_of
@@ -36,6 +36,7 @@ from rotorsim.signals.harmonic_basis import Basis, harmonic_basis
 from rotorsim.signals.harmonic_fit import HarmonicFit, Samples, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.signals.shaft_angle import ShaftAngle
+from rotorsim.simulation.ensemble.many import simulate_many
 
 THESIS_RATE = 1e4  # Hz, of the recordings; the thesis' step of 0.1 ms
 PROBE, LINEAR = 0.1, 1e-6  # size of a step; departure from linearity, of the change, that counts as none
@@ -80,14 +81,14 @@ def clean_runs(
     runs: list[Clean] = []
     problems: list[Problem] = []
     for number, setting in enumerate(gains):
-        for speed in speeds:
+        windows = (_settled if settled else _from_rest)(model, ports, setting, speeds, window)
+        for speed, found in zip(speeds, windows, strict=True):
             name = f"{speed * 30 / np.pi:.6g} rpm" + (f", gains {number + 1}" if len(gains) > 1 else "")
-            try:
-                time, theta, found = _one_run(model, ports, {"speed": speed, **setting}, window, settled)
-            except RotorsimError as error:
-                problems += [replace(problem, subject=f"run at {name}") for problem in error.problems]
+            if isinstance(found, RotorsimError):
+                problems += [replace(problem, subject=f"run at {name}") for problem in found.problems]
                 continue
-            values = np.column_stack([_entry(found[c.signal], c) for c in channels])
+            time, theta = found.time, found.theta
+            values = np.column_stack([_entry(found.signals[c.signal], c) for c in channels])
             run = Run(name, "", time, {}, speed, None, setting, "identify", Place(diagram.file))
             angle = ShaftAngle(theta, (theta[-1] - theta[0]) / (time[-1] - time[0]), 0.0, 0.0, "channel", True)
             basis = harmonic_basis(name, time, theta)
@@ -126,32 +127,76 @@ def _entry(values: np.ndarray, channel: Channel) -> np.ndarray:
     return np.asarray(own[:, AXES.index(channel.axis or "x")])
 
 
-def _one_run(
-    model: Model, signals: Sequence[str], parameters: Mapping[str, float], window: tuple[float, float], settled: bool
-) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Return times (n,) and shaft angles (n,) of the window, and the signals (n, ...) over it."""
-    wanted = [] if settled else signals
-    result = measure(model, wanted, ANGLE, window=window, rate=THESIS_RATE, parameters=parameters, closed=False)
-    time, theta = result.time, result[ANGLE].reshape(len(result.time))
-    if not settled:
-        return time, theta, {name: result[name] for name in signals}
-    names = [flat for name in signals for flat in flat_names(model, name)]
-    speed = parameters["speed"]
-    others = {name: value for name, value in parameters.items() if name != "speed"}
-    motion = periodic(model, speeds=[speed], parameters=others, signals=names, stability=False)
-    if not motion.settled[0]:
-        raise RotorsimError(Problem(motion.status[0]), exit_code=1)
-    wave = np.exp(1j * speed * np.outer(time, motion.orders))
-    flat = {name: (wave @ np.nan_to_num(motion.harmonics[name][0])).real for name in names}
-    shapes = {name: model.signals[name].shape for name in signals}
-    return (
-        time,
-        theta,
-        {
-            name: np.column_stack([flat[entry] for entry in flat_names(model, name)]).reshape(len(time), *shapes[name])
-            for name in signals
-        },
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """Times (n,) and shaft angles (n,) of the window of a run, and the signals (n, ...) over it."""
+
+    time: np.ndarray
+    theta: np.ndarray
+    signals: Mapping[str, np.ndarray]
+
+
+def _from_rest(
+    model: Model,
+    signals: Sequence[str],
+    setting: Mapping[str, float],
+    speeds: Sequence[float],
+    window: tuple[float, float],
+) -> Iterator[_Window | RotorsimError]:
+    """Yield the window of a run at every speed, or why it has none; they begin at rest, and go side by side."""
+    step, every = steps_of(model, THESIS_RATE)
+    varied = {"speed": np.array(speeds), **{name: np.full(len(speeds), value) for name, value in setting.items()}}
+    record = tuple(dict.fromkeys([*signals, ANGLE]))
+    runs = simulate_many(
+        model,
+        varied,
+        stop=window[1],
+        step=step,
+        reduce=["history"],
+        window=window,
+        record=record,
+        record_every=every,
+        scheduler="synchronous",  # workers of a study are for what takes longer, and run this themselves
     )
+    for k, status in enumerate(runs.status):
+        if status != "finished":
+            yield RotorsimError(Problem(runs.message[k]), exit_code=1)
+            continue
+        history = {name: runs["history", name][k] for name in record}
+        rows = len(history[ANGLE])
+        first = round(runs.window[k, 0] / (step * every))
+        time = np.arange(first, first + rows) * (step * every)
+        part = slice(rows - int(time[-1] > window[1] - step / 2))  # a sample at the end belongs to what follows
+        yield _Window(time[part], history[ANGLE].reshape(rows)[part], {name: history[name][part] for name in signals})
+
+
+def _settled(
+    model: Model,
+    signals: Sequence[str],
+    setting: Mapping[str, float],
+    speeds: Sequence[float],
+    window: tuple[float, float],
+) -> Iterator[_Window | RotorsimError]:
+    """Yield the settled motion at every speed over the window, or why there is none."""
+    names = [flat for name in signals for flat in flat_names(model, name)]
+    for speed in speeds:
+        try:
+            given = {"speed": speed, **setting}
+            angle = measure(model, [], ANGLE, window=window, rate=THESIS_RATE, parameters=given, closed=False)
+            motion = periodic(model, speeds=[speed], parameters=setting, signals=names, stability=False)
+        except RotorsimError as error:
+            yield error
+            continue
+        if not motion.settled[0]:
+            yield RotorsimError(Problem(motion.status[0]), exit_code=1)
+            continue
+        wave = np.exp(1j * speed * np.outer(angle.time, motion.orders))
+        flat = {name: (wave @ np.nan_to_num(motion.harmonics[name][0])).real for name in names}
+        found = {}
+        for name in signals:
+            columns = np.column_stack([flat[entry] for entry in flat_names(model, name)])
+            found[name] = columns.reshape(len(angle.time), *model.signals[name].shape)
+        yield _Window(angle.time, angle[ANGLE].reshape(len(angle.time)), found)
 
 
 @lru_cache(maxsize=2)
