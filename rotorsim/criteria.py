@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import log
 
+Z90 = 1.6448536269514722  # half width of a central 90 % interval of a normal distribution, in standard deviations
+
 
 @dataclass(frozen=True)
 class Criteria:

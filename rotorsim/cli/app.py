@@ -37,6 +37,7 @@ VERBS = {
     "campbell": "Natural frequencies against speed, tracked.",
     "periodic": "The settled motion at one or many speeds by harmonic balance.",
     "spectrum": "Full spectrum and harmonics of two-axis signals of a recording, a result or a diagram.",
+    "orders": "Orders of run-ups over the speed: Bode, polar, cascade; critical speeds and separation margins.",
     "record": "Simulate measurements of a diagram into a recording.",
     "identify": "Estimate the free parameters of a diagram from a recording, with intervals and verdicts.",
     "sensitivity": "Move the identified parameters by noise and wrong known ones, over many seeds.",

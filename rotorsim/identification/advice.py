@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorsim.criteria import Z90
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.estimate import Estimate
 from rotorsim.identification.experiment import Experiment, open_experiment
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.identification.profile import Z90
 from rotorsim.identification.verdict import relative_width
 from rotorsim.settled.equations import slots_of
 from rotorsim.units import format_quantity

@@ -8,10 +8,10 @@ from itertools import islice
 
 import numpy as np
 
+from rotorsim.criteria import Z90
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.advice import LONGER, Advice
-from rotorsim.identification.profile import Z90
 from rotorsim.identification.verdict import relative_width
 from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.driven.equations import driven_equations

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.criteria import CRITERIA
+from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice import Advice, advise
@@ -17,7 +17,7 @@ from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.in_orders import identify_orders
 from rotorsim.identification.in_time import identify_in_time
 from rotorsim.identification.likelihood import Likelihood
-from rotorsim.identification.profile import Z90, joint_factor, linear_intervals, profile_intervals
+from rotorsim.identification.profile import joint_factor, linear_intervals, profile_intervals
 from rotorsim.identification.regression import THESIS_ORDERS, open_regression
 from rotorsim.identification.result import Identification, Identified, sentences
 from rotorsim.identification.scatter import scatter_of, with_covariance

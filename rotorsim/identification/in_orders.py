@@ -28,8 +28,7 @@ from rotorsim.identification.waveform.order_tracking import (
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, Evaluation
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.orders import OrderRecording, OrderRun
-
-MOST_CORRELATED = 0.98  # of what is left, from row to row: a hundred rows count as one
+from rotorsim.signals.orders.rows import slowness
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,23 +288,15 @@ def order_estimate(search: OrderSearch, evaluation: Evaluation, variance: dict[t
     information = evaluation.information[np.ix_(searched, searched)]
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     inverse = np.linalg.pinv(information / np.outer(size, size), rcond=INVERTED, hermitian=True)
-    white[searched] = max(estimate.excess, 1.0) * _slowness(evaluation) * np.diag(inverse) / size**2
+    white[searched] = (
+        max(estimate.excess, 1.0)
+        * slowness([column for e in evaluation.residuals[0] for column in e.T])
+        * np.diag(inverse)
+        / size**2
+    )
     robust = np.diag(estimate.robust)
     wider = np.sqrt(np.maximum(white / np.where(robust > 0, robust, np.inf), 1.0))
     return replace(estimate, robust=estimate.robust * np.outer(wider, wider))
-
-
-def _slowness(evaluation: Evaluation) -> float:
-    """Return (1 + r) / (1 - r), r the correlation of what is left from row to row: the rows that count as one.
-
-    Of a mean of noise that forgets a share r a row. Source: G. E. P. Box et al., Time Series Analysis (2015), ch. 2.
-    """
-    products = squares = 0.0
-    for residual in evaluation.residuals[0]:
-        products += float(np.nansum(residual[1:] * residual[:-1]))
-        squares += float(np.nansum(residual**2))
-    share = min(max(products / squares, 0.0), MOST_CORRELATED) if squares else 0.0
-    return (1 + share) / (1 - share)
 
 
 def _slow_roll(search: OrderSearch, estimate: TimeEstimate) -> dict[str, SlowRoll]:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import norm
 
+from rotorsim.criteria import Z90
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.estimate import Estimate, Search
 from rotorsim.model.heard import gives_up, remark
 
-Z90 = float(norm.ppf(0.95))  # half width of a central 90 % interval, in standard deviations
 PARABOLA_TOLERANCE = 0.02  # the profile agrees so well with a parabola that its end points are those of the parabola
 PROFILE_STEPS = 8
 UNBOUNDED_WIDTH = 1e3  # standard widths beyond which an interval is called unbounded

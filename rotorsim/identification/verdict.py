@@ -7,10 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from rotorsim.criteria import CRITERIA
+from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagram.diagram import Free
 from rotorsim.identification.coordinates import ANGLE_UNIT
-from rotorsim.identification.profile import Z90
 from rotorsim.units import format_quantity
 
 

@@ -36,7 +36,15 @@ RECORDING_KEYS: dict[str, Mapping[str, type]] = {
         "time": str,
         "runs": list,
     },
-    "channel": {"signal": str, "axis": str, "node": int, "position": object, "unit": str, "coupling": str},
+    "channel": {
+        "signal": str,
+        "axis": str,
+        "direction": object,
+        "node": int,
+        "position": object,
+        "unit": str,
+        "coupling": str,
+    },
     "run": {
         "id": str,
         "file": str,
@@ -240,6 +248,9 @@ class DocumentParser:
         if "signal" in form:
             self.signal(form, (*path, "signal"), subject)
         axis = self.choice(form, "axis", AXES, path, subject)
+        direction = self.number(form, "direction", "rad", path, subject)
+        if axis is not None and direction is not None:
+            self.error("both axis and direction", (*path, "direction"), subject, "a direction is the angle from x")
         coupling = self.choice(form, "coupling", ("dc", "ac"), path, subject)
         node = form.get("node")
         if node is not None and not 1 <= node <= 1_000_000:
@@ -250,7 +261,8 @@ class DocumentParser:
         if len(self.problems) > before:
             return None
         place = self.source.place(path, key=True)
-        return Channel(column, form["signal"], axis, node, position, form["unit"], coupling or "dc", place)
+        unit, coupling = form["unit"], coupling or "dc"
+        return Channel(column, form["signal"], axis, node, position, unit, coupling, place, direction)
 
     def signal(self, form: Mapping[str, Any], path: JsonPath, subject: str) -> None:
         signal = form["signal"]
@@ -259,7 +271,7 @@ class DocumentParser:
             hint = "write block.port, as in 'rotor.displacement'"
             hint = f"the shaft angle is '{ANGLE}'" if signal in ("theta", "angle") else hint
             self.error(f"'{signal}' is not a signal", path, subject, hint)
-        elif end is not None and end.index and form.keys() & {"axis", "node", "position"}:
+        elif end is not None and end.index and form.keys() & {"axis", "direction", "node", "position"}:
             hint = "leave out axis, node and position, or the index"
             self.error(f"'{signal}' names an entry already", path, subject, hint)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.recordings.directions import along_axes
 from rotorsim.recordings.document import DataFile, read_recording_document
 from rotorsim.recordings.readers.columns import read_columns
 from rotorsim.recordings.recording import Recording, Run
@@ -23,7 +24,7 @@ def load_recording(path: str | Path, *, read: bool = True) -> Recording:
     document = read_recording_document(path)
     recording = document.recording
     if not read:
-        return recording
+        return replace(recording, channels=along_axes(recording.channels, (), ())[0])
     runs: list[Run] = []
     errors: list[Problem] = []
     warnings: list[Problem] = []
@@ -34,7 +35,9 @@ def load_recording(path: str | Path, *, read: bool = True) -> Recording:
             errors += error.problems
     if errors:
         raise RotorsimError(*errors)
-    return replace(recording, runs=tuple(runs), warnings=tuple(warnings))
+    channels, values = along_axes(recording.channels, [run.values for run in runs], [run.id for run in runs])
+    turned = tuple(replace(run, values=own) for run, own in zip(runs, values, strict=True))
+    return replace(recording, channels=channels, runs=turned, warnings=tuple(warnings))
 
 
 def _with_samples(run: Run, file: DataFile, recording: Recording, warnings: list[Problem]) -> Run:

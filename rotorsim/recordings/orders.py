@@ -12,6 +12,7 @@ import numpy as np
 
 from rotorsim.diagram.parse.source import JsonPath
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.recordings.directions import along_axes
 from rotorsim.recordings.document import EXAMPLES, RECORDING_KEYS, REQUIRED, DocumentParser, read_source
 from rotorsim.recordings.loading import load_recording
 from rotorsim.recordings.readers.columns import read_table
@@ -144,7 +145,9 @@ def load_orders(path: str | Path) -> OrderRecording:
             errors += error.problems
     if errors:
         raise RotorsimError(*errors)
-    return replace(recording, runs=tuple(runs), warnings=tuple(warnings))
+    channels, vectors = along_axes(recording.channels, [run.vectors for run in runs], [run.id for run in runs])
+    turned = tuple(replace(run, vectors=own) for run, own in zip(runs, vectors, strict=True))
+    return replace(recording, channels=channels, runs=turned, warnings=tuple(warnings))
 
 
 def load_any(path: str | Path) -> Recording | OrderRecording:

@@ -26,7 +26,7 @@ class Channel:
     column: name in the data file. signal: "rotor.displacement", "controller.current", "clock.theta" (shaft angle)
     or "tacho" (raw pulse voltage). axis: "x" or "y". node: counted from 1. position: along the shaft [m].
     unit: as stated; values are SI all the same. coupling: "ac" when the mean means nothing. place: where
-    recording.json names it.
+    recording.json names it. direction: of a probe [rad], from x towards y; None once two of them are turned to x and y.
     """
 
     column: str
@@ -37,6 +37,7 @@ class Channel:
     unit: str
     coupling: str = "dc"
     place: Place = field(default_factory=Place, compare=False, repr=False)
+    direction: float | None = None
 
     @property
     def name(self) -> str:
@@ -46,7 +47,9 @@ class Channel:
         rotor.acceleration[0.05 m,1].
         """
         place = self.node if self.node is not None else f"{self.position:g} m" if self.position is not None else None
-        axis = AXES.index(self.axis) + 1 if self.axis is not None else None
+        axis: object = AXES.index(self.axis) + 1 if self.axis is not None else None
+        if self.direction is not None:
+            axis = f"{np.degrees(self.direction):g} deg"
         inside = ",".join(str(part) for part in (place, axis) if part is not None)
         return f"{self.signal}[{inside}]" if inside else self.signal
 

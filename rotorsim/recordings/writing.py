@@ -16,7 +16,7 @@ from rotorsim.diagram.parse.source import Source
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.files import atomic_target, write_atomically
 from rotorsim.recordings.document import FILE, parse_recording
-from rotorsim.recordings.recording import ANGLE, AXES, Channel, signal_and_place
+from rotorsim.recordings.recording import ANGLE, AXES, USES, Channel, Recording, Run, signal_and_place
 from rotorsim.simulation.result import Result, flat_name
 from rotorsim.units import UnitError, conversion
 
@@ -79,15 +79,30 @@ def save_recording(
         "runs": [_run_entry(run, part, suffix) for run, part in zip(new, parts, strict=True)],
     }
     _check(document, folder)
-    _make_folder(folder, [FILE, *(run.id + suffix for run in new)], overwrite)
+    make_folder(folder, [FILE, *(run.id + suffix for run in new)], overwrite)
     for run, part in zip(new, parts, strict=True):
         table = {"t": run.result.time[part]} if _rate(run.result.time[part]) is None else {}
         for column, channel in channels.items():
             table[column] = run.result.column(channel.name)[part]
-        _write_table(folder / (run.id + suffix), table)
+        write_table(folder / (run.id + suffix), table)
     path = folder / FILE
     write_atomically(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     return path
+
+
+def as_recording(result: Result, name: str) -> Recording:
+    """Return a result in memory as a recording of one run, "run", with its two-axis signals and the shaft angle.
+
+    Raises RotorsimError where the shaft angle or any signal [x, y] was not recorded.
+    """
+    hint = f"record {ANGLE} and a signal [x, y], such as rotor.displacement"
+    signals = [key for key in result.signals if result[key].shape[-1:] == (2,) and result[key].ndim in (2, 3)]
+    if ANGLE not in result or not signals:
+        raise RotorsimError(Problem("neither shaft angle nor motion was recorded", name, hint=hint))
+    channels = _channels(result, [*signals, ANGLE])
+    values = {column: result.column(channel.name) for column, channel in channels.items()}
+    run = Run("run", name, result.time, values, None, None, {}, USES[0], Place(name))
+    return Recording(name, "simulation", Path(), channels, (run,))
 
 
 def _new_run(run: NewRun | Mapping[str, Any], k: int) -> NewRun:
@@ -213,7 +228,8 @@ def _check(document: dict[str, Any], folder: Path) -> None:
     parse_recording(Source(data, file=str(folder / FILE)), folder, files=False)
 
 
-def _make_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
+def make_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
+    """Make a folder. Raises RotorsimError where that cannot be, and for files in it that would be replaced."""
     there = [name for name in files if (folder / name).exists()]
     if there and not overwrite:
         what = f"{len(there)} file{'s' if len(there) > 1 else ''} would be replaced: {', '.join(there[:3])}"
@@ -224,7 +240,8 @@ def _make_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:
         raise RotorsimError(Problem(f"folder cannot be made: {error.strerror}", place=Place(str(folder)))) from None
 
 
-def _write_table(path: Path, table: Mapping[str, np.ndarray]) -> None:
+def write_table(path: Path, table: Mapping[str, np.ndarray]) -> None:
+    """Write columns (n,) as a .npz or .csv file, as a whole or not at all."""
     size = sum(array.nbytes for array in table.values()) * (1 if path.suffix == ".npz" else 20 // 8)
     with atomic_target(path, size=size) as temporary:
         if path.suffix == ".npz":

@@ -66,11 +66,11 @@ def figure(width: float, height: float, title: str) -> Figure:
     return made
 
 
-def legend_below(made: Figure, axes: Axes) -> None:
-    """Put the legend of some axes below the whole figure, every entry once."""
+def legend_below(made: Figure, axes: Axes, most: int = 6) -> None:
+    """Put the legend of some axes below the whole figure, every entry once, in ``most`` columns at most."""
     handles, labels = axes.get_legend_handles_labels()
     entries = dict(zip(labels, handles, strict=True))
-    columns = min(len(entries), 6 if len(entries) != 7 else 4)
+    columns = min(len(entries), most if len(entries) != 7 else min(4, most))
     made.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
 
 

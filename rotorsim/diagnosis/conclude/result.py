@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from rotorsim._shown import Shown
+from rotorsim.criteria import Z90
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.shares import Explained
 from rotorsim.diagnosis.conclude.unknown_force import UnknownForce
@@ -20,7 +21,6 @@ from rotorsim.diagnosis.search.candidates import Candidate
 from rotorsim.diagnosis.search.selection import Selection
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
-from rotorsim.identification.profile import Z90
 from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording
 

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from rotorsim.criteria import CRITERIA
+from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import RotorsimError
-from rotorsim.identification.profile import Z90
 from rotorsim.model.heard import listener
 
 DEFERRED = "is nonlinear, and not fitted yet"

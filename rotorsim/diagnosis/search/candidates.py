@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from rotorsim.criteria import Z90
 from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
-from rotorsim.identification.profile import Z90
 
 SAME = 0.01  # of -2 log likelihood: says nothing
 

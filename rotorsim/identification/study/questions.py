@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from rotorsim.criteria import Z90
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.edit import fitting_types, swap
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.identification.files import with_values
-from rotorsim.identification.profile import Z90
 from rotorsim.identification.study.plan import Case, Study
 from rotorsim.identification.study.runs import bench_of
 from rotorsim.identification.study.study import StudyResult, run_study, study_rows, with_document

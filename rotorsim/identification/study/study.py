@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from rotorsim.criteria import Z90
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.files import write_atomically
 from rotorsim.identification.coordinates import ANGLE_UNIT
-from rotorsim.identification.profile import Z90
 from rotorsim.identification.study.plan import Case, Study
 from rotorsim.identification.study.printed import PRINTED_LEVELS, TABLES
 from rotorsim.identification.study.runs import Bench, bench_of

@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import comb, log, pi
+from math import log, pi
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.interpolate import CubicSpline, PchipInterpolator
+from scipy.interpolate import CubicSpline
 
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError, near_miss
@@ -28,13 +28,13 @@ from rotorsim.linear.linearisation import entry_names
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
 from rotorsim.recordings.recording import ANGLE
+from rotorsim.signals.orders.rows import DIFFERENCES, row_floor, row_noise, row_times
 
 SAMPLES_OF_PERIOD = 32  # a period of the highest order: Simpson's rule and a Runge-Kutta step are good to 1e-5 there
 FORGOTTEN = 1e-4  # of what was before the first row, when it begins
 MOST_LEAD = 400.0  # turns before the first row
 LEAD_SPEEDS = (0.5, 2.0)  # of the first row's, between which the speed stays before it
 SLOPE_ROWS = 10  # from which the acceleration at the first row is taken
-DIFFERENCES = 6  # order of the differences between rows that noise is seen in: of what lasts 8 rows they keep 0.7 %
 SPEED, ACCELERATION = RATE_PREFIX + ANGLE, RATE_PREFIX + RATE_PREFIX + ANGLE
 
 
@@ -259,27 +259,19 @@ def order_noise(
 ) -> dict[tuple[str, str], float]:
     """Return the variance of the real parts of each channel, as differences of the sixth order between rows show it.
 
-    simulated: vectors of each run (n, c), taken away before: a resonance is sharp where rows are far apart.
-
-    sum |d^6 Y|^2 / (2 C(12, 6) n): white noise gives its variance, smooth motion next to nothing. least: of the mean
-    square of what varies. Source: J. von Neumann, Ann. Math. Stat. 12 (1941) 367, of higher order.
-    Raises RotorsimError where no channel has as many rows without a gap.
+    simulated: vectors of each run (n, c), taken away before: a resonance is sharp where rows are far apart. least: of
+    the rms of what varies; see `row_noise`. Raises RotorsimError where no channel has as many rows without a gap.
     """
     variance: dict[tuple[str, str], float] = {}
     for c, label in enumerate(tracked.labels):
-        squares, count, moved, rows = 0.0, 0, 0.0, 0
-        for r, track in enumerate(tracked.tracks):
-            y = track.vectors[:, c]
-            changes = np.diff(y if simulated is None else y - simulated[r][:, c], DIFFERENCES)
-            changes = changes[np.isfinite(changes)]
-            squares, count = squares + float((np.abs(changes) ** 2).sum()), count + len(changes)
-            there = y[np.isfinite(y)]
-            moved, rows = moved + float((np.abs(there - there.mean()) ** 2).sum() if len(there) else 0.0), rows + len(y)
-        if not count:
+        known = [0.0 if simulated is None else simulated[r][:, c] for r in range(len(tracked.tracks))]
+        left = [track.vectors[:, c] - own for track, own in zip(tracked.tracks, known, strict=True)]
+        found = row_noise(left, 0.0)
+        if found is None:
             what = f"no {DIFFERENCES + 1} rows without a gap: its noise is not known"
             raise RotorsimError(Problem(what, label))
-        floor = least**2 * moved / max(2 * rows, 1)
-        variance["", label] = max(squares / (2 * comb(2 * DIFFERENCES, DIFFERENCES) * count), floor, 1e-300)
+        whole = [track.vectors[:, c] for track in tracked.tracks]
+        variance["", label] = max(found, row_floor(whole, least))
     return variance
 
 
@@ -305,20 +297,8 @@ def _system_matrix(eq: DrivenEquations, run: SampledRun, p: np.ndarray) -> np.nd
 
 def _track(eq: DrivenEquations, run: OrderRun, keys: Sequence[str], samples: int) -> OrderTrack:
     """Return a run on samples that are even in angle, as many a turn."""
-    turn = 2 * pi
-    if run.time is None:  # successive turns: the ends of rows are passages of the mark
-        ends = np.append(0.0, np.cumsum(turn * run.turns / run.speed))
-        speed = CubicSpline(ends, turn * run.turns * np.arange(len(ends))).derivative()
-        begin, end, middles = 0.0, float(ends[-1]), (ends[1:] + ends[:-1]) / 2
-        angle = speed.antiderivative()
-        starts = turn * run.turns * np.arange(len(run.speed))
-    else:
-        speed = PchipInterpolator(run.time, run.speed, extrapolate=True)
-        angle, middles = speed.antiderivative(), run.time
-        starts = angle(middles) - pi * run.turns
-        begin = float(middles[0] - pi * run.turns / run.speed[0])
-        end = float(middles[-1] + 1.05 * pi * run.turns / run.speed[-1])
-        starts = starts - starts[0]
+    turn, rows = 2 * pi, row_times(run)
+    speed, angle, begin, end, middles, starts = rows.speed, rows.angle, rows.begin, rows.end, rows.middles, rows.starts
     lead_time, lead_speed = _lead_in(eq, run, middles - begin)
     fine = np.linspace(begin, end, int((angle(end) - angle(begin)) / turn * samples) + 2)
     before = -float(cumulative_trapezoid(lead_speed, lead_time)[-1])

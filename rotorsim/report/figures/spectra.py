@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
-from rotorsim.identification.profile import Z90
+from rotorsim.criteria import Z90
 from rotorsim.report.comparison.harmonics import Comparison, Harmonics, Signal
 from rotorsim.report.style import INK, SHOWN_HARMONIC, Look, display, figure, legend_below, order_axis, styled
 from rotorsim.report.text.table import rpm

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
-from rotorsim.identification.profile import Z90
+from rotorsim.criteria import Z90
 from rotorsim.report.comparison.harmonics import Comparison, PredictedRuns, Signal
 from rotorsim.report.comparison.speed_curves import speed_curve
 from rotorsim.report.style import (

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from rotorsim.criteria import CRITERIA
+from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.change import Change
@@ -28,7 +28,6 @@ from rotorsim.diagnosis.evidence.waveform.separation import Hypothesis, SensorNo
 from rotorsim.diagnosis.evidence.waveform.units import stand_ins
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.advice_in_time import SMALL_NOISE
-from rotorsim.identification.profile import Z90
 from rotorsim.identification.waveform.linearised import linearised, places_of, simulated_signals, simulated_states
 from rotorsim.identification.waveform.noise import Noise, left_over, reweighted, unpredicted, variance_scale, weights_of
 from rotorsim.identification.waveform.noise_model import refined

@@ -1,0 +1,302 @@
+"""``rotorsim orders``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import click
+import numpy as np
+
+from rotorsim.cli.shared import (
+    Chosen,
+    check_folder,
+    given_options,
+    is_recording,
+    json_option,
+    known_names,
+    note,
+    plot_option,
+    quantity,
+    refuse_if,
+    save_plot,
+    show,
+    show_problems,
+)
+from rotorsim.errors import Problem, RotorsimError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from rotorsim.diagram.diagram import Diagram
+    from rotorsim.recordings.orders import OrderRecording, OrderRun
+    from rotorsim.recordings.recording import Recording
+    from rotorsim.signals.orders.critical_speeds import CriticalSpeeds
+    from rotorsim.signals.orders.extraction import Positions
+
+FIGURE_KINDS = ("bode", "polar", "cascade", "centreline")
+AMPLITUDES, PHASE_WORDS = ("0-peak", "peak-peak", "rms"), ("lead", "lag")  # those of rotorsim.recordings.orders
+CASCADE_WINDOWS = 15.0  # of a run, one after the other: a window is as long
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """Order vectors of some runs, and of sampled ones the samples and mean positions."""
+
+    orders: OrderRecording
+    sampled: Recording | None
+    positions: Sequence[Positions]
+
+
+@click.command("orders")
+@click.argument("diagram", metavar="RECORDING|DIAGRAM")
+@given_options
+@click.option("--run", "runs", multiple=True, metavar="ID", help="Run-up or coast-down (default: all); repeatable.")
+@click.option(
+    "--order", "orders", multiple=True, type=click.IntRange(1, 100), help="Order (default: 1, 2); repeatable."
+)
+@click.option("--turns", type=click.IntRange(1, 1000), default=1, show_default=True, help="Turns of a row.")
+@click.option("--slow-roll", metavar="LOW:HIGH", help="Subtract the mean vector between these speeds.")
+@click.option("--operating", metavar="LOW:HIGH", help="Operating speeds, for separation margins (API 684).")
+@click.option("--beside", metavar="DIAGRAM", help="Simulate this diagram along each run, and show it beside.")
+@click.option("--signal", "signals", multiple=True, metavar="SIGNAL", help="What is drawn and listed; repeatable.")
+@click.option("--figure", type=click.Choice(FIGURE_KINDS), default="bode", show_default=True, help="What is drawn.")
+@plot_option("the figure of one run and its first order")
+@click.option("--out", metavar="FOLDER", help="Write the vectors: recording.json of kind 'orders' and a CSV a run.")
+@click.option("--amplitude", type=click.Choice(AMPLITUDES), default="0-peak", show_default=True, help="In --out.")
+@click.option("--phase", type=click.Choice(PHASE_WORDS), default="lead", show_default=True, help="In --out.")
+@click.option("--overwrite", is_flag=True, help="Replace files that are in the folder of --out.")
+@json_option
+def command(
+    chosen: Chosen,
+    runs: tuple[str, ...],
+    orders: tuple[int, ...],
+    turns: int,
+    slow_roll: str | None,
+    operating: str | None,
+    beside: str | None,
+    signals: tuple[str, ...],
+    figure: str,
+    plot: str | None,
+    out: str | None,
+    amplitude: str,
+    phase: str,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Orders of run-ups and coast-downs over the speed, critical speeds and their separation margins.
+
+    RECORDING has samples, whose orders are tracked turn by turn against the pulses, or is a table of order vectors as
+    monitoring systems export them. DIAGRAM, whose clock changes its speed, is run, and is treated alike. Critical
+    speeds and amplification factors are those of the settled response of the modes that the run has passed, corrected
+    for its sweep rate, with 90 % intervals.
+
+    \b
+    rotorsim orders runup --operating "3000 rpm:3600 rpm" --plot bode.png
+    rotorsim orders runup --beside jeffcott --figure polar --plot polar.png
+    rotorsim orders runup --out table --amplitude peak-peak --phase lag
+    rotorsim orders jeffcott_runup --order 1
+    """
+    check_folder("--out", out)
+    span = None if operating is None else _span(operating, "--operating")
+    slow = None if slow_roll is None else _span(slow_roll, "--slow-roll")
+    wanted = tuple(dict.fromkeys(orders))
+    read = _read(chosen)
+    given = _given(read, runs, wanted, turns)
+    if slow is not None:
+        from rotorsim.signals.orders.slow_roll import without_slow_roll
+
+        given = replace(given, orders=without_slow_roll(given.orders, *slow))
+    tracked = given.orders
+    names = _channels(tracked, signals)
+    from rotorsim.signals.orders.critical_speeds import critical_speeds
+
+    kinds = sorted({channel.order for channel in tracked.channels.values()})
+    found = [critical_speeds(run, tracked.channels, order) for run in tracked.runs for order in kinds]
+    simulated = {} if beside is None else _simulated(beside, chosen.trust_blocks, given, kinds, turns)
+    if plot:
+        refuse_if(
+            len(tracked.runs) > 1,
+            f"--plot draws one run, {chosen.name} has {len(tracked.runs)}",
+            hint=f"--run {tracked.runs[0].id}, for example",
+        )
+        save_plot(lambda: _figure(figure, given, found[0], names, simulated, beside or "", span), plot)
+    if out:
+        from rotorsim.recordings.order_writing import save_orders
+
+        note(f"written: {save_orders(out, tracked, amplitude=amplitude, phase=phase, overwrite=overwrite)}")
+    from rotorsim.report.text import orders as text
+
+    def said() -> str:
+        parts = []
+        for run in tracked.runs:
+            own = {name: tracked.channels[name] for name in names}
+            lines = [text.run_text(run), text.peaks_text(run, own)]
+            lines += [text.critical_text(one, own, span) for one in found if one.run == run.id]
+            parts.append("\n\n".join(lines))
+        return "\n\n\n".join(parts)
+
+    show(as_json, lambda: text.orders_data(tracked, found, span), said)
+
+
+def _span(text: str, option: str) -> tuple[float, float]:
+    """Return the ends [rad/s] of a range of speeds such as ``"3000 rpm:3600 rpm"``, or of one speed."""
+    ends = [quantity(part.strip(), "rad/s", option) for part in text.split(":")]
+    hint = f"for example {option} '3000 rpm:3600 rpm'"
+    refuse_if(len(ends) > 2 or min(ends) < 0 or ends[-1] < ends[0], f"{option} {text}: not LOW:HIGH", hint=hint)
+    return ends[0], ends[-1]
+
+
+def _read(chosen: Chosen) -> Recording | OrderRecording:
+    """Return a recording, or the run of a diagram as one."""
+    if is_recording(chosen.name):
+        from rotorsim.recordings.orders import load_any
+
+        chosen.refuse_changes("a recording")
+        read = load_any(chosen.name)
+        show_problems(read.warnings)
+        return read
+    from rotorsim.recordings.recording import ANGLE
+    from rotorsim.recordings.writing import as_recording
+    from rotorsim.simulation.run import simulate
+
+    loaded = chosen.open()
+    result = simulate(loaded, record=tuple(dict.fromkeys([*map(str, loaded.record), ANGLE])))
+    refuse_if(result.status != "finished", result.message, loaded.name, exit_code=1)
+    return as_recording(result, loaded.name)
+
+
+def _given(read: Recording | OrderRecording, runs: Sequence[str], orders: Sequence[int], turns: int) -> Given:
+    """Return the order vectors of the runs that are wanted."""
+    from rotorsim.recordings.orders import OrderRecording
+
+    ids = known_names(runs, [run.id for run in read.runs], lambda name: f"--run {name}: no such run in {read.name}")
+    if isinstance(read, OrderRecording):
+        refuse_if(turns > 1, "--turns: the rows of this table are as they were exported", read.name)
+        kept = {name: one for name, one in read.channels.items() if not orders or one.order in orders}
+        there = ", ".join(f"{order}X" for order in sorted({one.order for one in read.channels.values()}))
+        refuse_if(not kept, f"no channel of order {', '.join(map(str, orders))}", read.name, hint=f"there: {there}")
+        some = tuple(run for run in read.runs if not ids or run.id in ids)
+        return Given(replace(read, channels=kept, runs=some), None, ())
+    from rotorsim.signals.orders.extraction import tracked_recording
+
+    chosen = [run for run in read.runs if run.id in ids] if ids else None
+    tracked, positions = tracked_recording(read, orders or (1, 2), turns, chosen)
+    left = [run.id for run in read.runs if run.id not in {own.id for own in tracked.runs}]
+    if left and not ids:
+        note(f"at one speed, and left out: {', '.join(left)}")
+    return Given(tracked, read, positions)
+
+
+def _channels(recording: OrderRecording, signals: Sequence[str]) -> list[str]:
+    """Return the channels of signals, or entries of them, that are wanted; else of the first signal."""
+    every = recording.channels
+    known = {name for one in every.values() for name in (one.signal, one.name)}
+    wanted = known_names(signals, known, lambda name: f"--signal {name}: not measured in {recording.name}")
+    wanted = wanted or [next(iter(every.values())).signal]
+    return [name for name, one in every.items() if one.signal in wanted or one.name in wanted]
+
+
+def _simulated(
+    diagram: str, trust_blocks: bool, given: Given, orders: Sequence[int], turns: int
+) -> dict[str, dict[str, np.ndarray]]:
+    """Return the vectors of a diagram along each run, nothing of it fitted: run -> channel -> (n,)."""
+    from rotorsim.model.load import load
+
+    loaded = load(diagram, trust_blocks=trust_blocks)
+    along = _along_table if given.sampled is None else _along_samples
+    return along(loaded, given, orders, turns)
+
+
+def _along_samples(
+    loaded: Diagram, given: Given, orders: Sequence[int], turns: int
+) -> dict[str, dict[str, np.ndarray]]:
+    """Return the orders of a diagram that turns as each run did, tracked as those of the run."""
+    from rotorsim.identification.as_recorded import simulate_as_recorded
+    from rotorsim.signals.orders.extraction import tracked_recording
+
+    assert given.sampled is not None
+    recording, found = given.sampled, {}
+    for run in recording.runs:
+        if run.id not in {own.id for own in given.orders.runs}:
+            continue
+        result = simulate_as_recorded(loaded, recording, run.id).result
+        there = np.searchsorted(run.time, result.time - np.diff(run.time).min() / 2)  # times of parts are rounded
+        values = {}
+        for column, channel in recording.channels.items():
+            values[column] = run.values[column]
+            if channel.name in result.signals:
+                values[column] = np.full(len(run.time), np.nan)
+                values[column][there] = result[channel.name]
+        own = replace(recording, runs=(replace(run, values=values),))
+        found[run.id] = dict(tracked_recording(own, orders, turns)[0].runs[0].vectors)
+    return found
+
+
+def _along_table(loaded: Diagram, given: Given, orders: Sequence[int], turns: int) -> dict[str, dict[str, np.ndarray]]:
+    """Return the orders of a diagram along the speeds of a table."""
+    from rotorsim.identification.in_orders import orders_beside
+
+    recording = given.orders
+    labels = {one.label: name for name, one in recording.channels.items()}
+    alone = replace(recording, slow_roll=False)  # nothing of the recording is fitted along
+    found = {}
+    for run in recording.runs:
+        beside = orders_beside(loaded, alone, run.id).compared.simulated
+        found[run.id] = {labels[label]: vectors for label, vectors in beside.items() if label in labels}
+    return found
+
+
+def _figure(
+    kind: str,
+    given: Given,
+    found: CriticalSpeeds,
+    chosen: Sequence[str],
+    simulated: dict[str, dict[str, np.ndarray]],
+    diagram: str,
+    operating: tuple[float, float] | None,
+) -> Figure:
+    """Return the figure of the first run."""
+    from rotorsim.report.figures import orders as figures
+
+    run, channels = given.orders.runs[0], given.orders.channels
+    shown = {name: channels[name] for name in chosen if channels[name].order == found.order}
+    title = f"{given.orders.name}, {run.id}"
+    if kind in ("bode", "polar"):
+        some = dict(list(shown.items())[: figures.MOST_CHANNELS])
+        tracked = figures.Tracked(run, some, found, simulated.get(run.id, {}), diagram, operating)
+        what = "Bode plot" if kind == "bode" else "Polar plot"
+        draw = figures.bode_plot if kind == "bode" else figures.polar_plot
+        return draw(tracked, f"{what} of {found.order}X, {title}")
+    if given.sampled is None:
+        hint = "bode and polar are drawn of tables"
+        raise RotorsimError(Problem(f"--figure {kind} needs samples: these are order vectors", title, hint=hint))
+    return _of_samples(kind, given, run, chosen, title)
+
+
+def _of_samples(kind: str, given: Given, run: OrderRun, chosen: Sequence[str], title: str) -> Figure:
+    from rotorsim.recordings.recording import Channel
+    from rotorsim.report.figures import orders as figures
+    from rotorsim.report.text.orders import shown_unit
+    from rotorsim.signals.turning import turning
+
+    assert given.sampled is not None
+    of_column: dict[tuple[str, int | None, float | None], dict[str, Channel]] = {}
+    for name in chosen:
+        one = given.orders.channels[name]
+        if one.axis is not None:
+            of_column.setdefault((one.signal, one.node, one.position), {})[one.axis] = one
+    pairs = [(axes["x"], axes["y"]) for axes in of_column.values() if len(axes) == 2]
+    refuse_if(not pairs, f"--figure {kind} needs channels of axis x and of axis y of one place", title)
+    unit, factor = shown_unit(next(one for one in given.orders.channels.values() if one.column == pairs[0][0].column))
+    if kind == "centreline":
+        of_run = [at for at in given.positions if at.run == run.id]
+        columns = [(x.column, y.column) for x, y in pairs]
+        return figures.centreline_plot(of_run, columns, unit, factor, f"Shaft centreline, {title}")
+    own = next(one for one in given.sampled.runs if one.id == run.id)
+    x, y = (own.values[one.column] for one in pairs[0])
+    window = float(own.time[-1] - own.time[0]) / CASCADE_WINDOWS
+    speed = np.abs(turning(given.sampled, own).speed)
+    named = f"Cascade of full spectra, {pairs[0][0].signal}, {title}"
+    return figures.cascade_plot(own.time, x + 1j * y, speed, unit, factor, named, window)

@@ -1,0 +1,173 @@
+"""Order vectors over the speed as text and data: what was tracked, critical speeds, separation margins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rotorsim.criteria import Z90
+from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
+from rotorsim.report.text.table import counted, display_unit, rpm, table
+from rotorsim.signals.orders.critical_speeds import CriticalSpeed, CriticalSpeeds
+from rotorsim.signals.orders.resonance import RESPONSIVE, Margin, Peak, peak_in, separation_margin
+from rotorsim.units import conversion
+
+WHIRLS = ((0.2, "forward"), (-0.2, "planar"), (-np.inf, "backward"))  # from which share of a circle
+SHOWN_CHANNELS = 4
+MUCH = 2.0  # times the variance of the noise: beyond, a fit has something left to explain
+Operating = tuple[float, float]  # lowest and highest speed [rad/s]
+
+
+def run_text(run: OrderRun) -> str:
+    """Return what a run is, in one line."""
+    first, last = rpm(run.speed[0]), rpm(run.speed[-1])
+    what = "run-up" if last > first else "coast-down"
+    return (
+        f"{run.id}: {what}, {first:.5g} to {last:.5g} rpm, {counted(len(run.speed), 'row')} of {turns_text(run.turns)}"
+    )
+
+
+def turns_text(turns: int) -> str:
+    """Return ``1 turn`` or ``4 turns``."""
+    return counted(turns, "turn")
+
+
+def peaks_text(run: OrderRun, channels: dict[str, OrderChannel]) -> str:
+    """Return the largest amplitude of each channel, as it is read off the curve."""
+    lines = []
+    for name, channel in channels.items():
+        peak, amplitude = largest_of(run, name)
+        unit, factor = shown_unit(channel)
+        sides = [f"{rpm(side):.5g}" if np.isfinite(side) else "-" for side in (peak.lower, peak.upper)]
+        af = f"{peak.amplification:.3g}" if np.isfinite(peak.amplification) else "-"
+        lines.append([channel.label, f"{factor * amplitude:.4g} {unit}", f"{rpm(peak.speed):.5g}", *sides, af])
+    return table(["as recorded", "largest, 0-peak", "at [rpm]", "N1", "N2", "AF"], lines)
+
+
+def shown_unit(channel: OrderChannel) -> tuple[str, float]:
+    """Return the unit in which amplitudes of a channel are shown, as it was stated, and the factor from SI."""
+    if channel.unit == "m":
+        return display_unit("m")
+    return channel.unit, 1.0 / conversion(channel.unit, None)
+
+
+def largest_of(run: OrderRun, name: str) -> tuple[Peak, float]:
+    """Return the peak of a channel as read off its curve over the speed, and its amplitude."""
+    order = np.argsort(run.speed, kind="stable")
+    size = np.abs(run.vectors[name])[order]
+    at = int(np.nanargmax(size))
+    return peak_in(run.speed[order], size, at), float(size[at])
+
+
+def critical_text(found: CriticalSpeeds, channels: dict[str, OrderChannel], operating: Operating | None) -> str:
+    """Return the critical speeds of one order of a run."""
+    head = f"{found.order}X: "
+    if not found.found:
+        low, high = rpm(found.speed.min()), rpm(found.speed.max())
+        return head + f"no critical speed between {low:.5g} and {high:.5g} rpm"
+    shown = [name for name in channels if name in found.found[0].vectors][:SHOWN_CHANNELS]
+    operating = operating if found.order == 1 else None  # margins are of what unbalance drives
+    columns = [f"{channels[name].name}" for name in shown]
+    margins = [] if operating is None else ["SM", "required", ""]
+    lines = []
+    for one in found.found:
+        af = f"{one.peak.amplification:.3g} +- {Z90 * one.std['amplification']:.2g}"
+        cells = [f"{rpm(one.peak.speed):.6g} +- {Z90 * rpm(one.std['speed']):.2g}", af]
+        cells += [f"{rpm(one.peak.lower):.5g}", f"{rpm(one.peak.upper):.5g}", f"{one.damping:.3g}", whirl_text(one)]
+        for name in shown:
+            unit, factor = shown_unit(channels[name])
+            cells.append(f"{factor * abs(one.vectors[name]):.3g} {unit}")
+        lines.append(cells + ([] if operating is None else margin_cells(one, operating)))
+    header = [head + "N_c [rpm], 90 %", "AF, 90 %", "N1", "N2", "damping", "whirl", *columns, *margins]
+    text = table(header, lines)
+    if found.excess > MUCH:
+        text += f"\nthe modes leave {found.excess:.3g} times the variance of the noise: intervals are wider for it"
+    return text
+
+
+def whirl_text(one: CriticalSpeed) -> str:
+    """Return "forward", "backward", "planar", or "-" where two axes were not measured."""
+    if not np.isfinite(one.whirl):
+        return "-"
+    return next(word for least, word in WHIRLS if one.whirl > least)
+
+
+def margin_of(one: CriticalSpeed, operating: Operating) -> tuple[Margin, str]:
+    """Return the separation margin, and whether it is met at both ends of the 90 % intervals: yes, no, or unsure."""
+    margin = separation_margin(one.peak.speed, one.peak.amplification, *operating)
+    corners = [
+        separation_margin(speed, amplification, *operating).met
+        for speed in one.interval90("speed")
+        for amplification in one.interval90("amplification")
+    ]
+    return margin, "met" if all(corners) else "not met" if not any(corners) else "unsure"
+
+
+def margin_cells(one: CriticalSpeed, operating: Operating) -> list[str]:
+    """Return actual and required margin and the verdict."""
+    margin, verdict = margin_of(one, operating)
+    needed = "none" if one.peak.amplification < RESPONSIVE else f"{margin.required:.3g} %"
+    return [f"{margin.actual:.3g} %", needed, verdict]
+
+
+def orders_data(
+    recording: OrderRecording, criticals: Sequence[CriticalSpeeds], operating: Operating | None
+) -> dict[str, Any]:
+    """Return all that was tracked and found, SI, in the form of --json."""
+    runs = {
+        run.id: {
+            "turns": run.turns,
+            "time": None if run.time is None else run.time.tolist(),
+            "speed": run.speed.tolist(),
+            "vectors": {
+                name: {"re": _numbers(v.real), "im": _numbers(v.imag)}
+                for name, v in run.vectors.items()
+                if name in recording.channels
+            },
+        }
+        for run in recording.runs
+    }
+    channels = {name: {"signal": one.name, "order": one.order} for name, one in recording.channels.items()}
+    return {
+        "recording": recording.name,
+        "slow_roll": "included" if recording.slow_roll else "subtracted",
+        "channels": channels,
+        "runs": runs,
+        "critical_speeds": [_critical_data(found, operating) for found in criticals],
+    }
+
+
+def _critical_data(found: CriticalSpeeds, operating: Operating | None) -> dict[str, Any]:
+    return {
+        "run": found.run,
+        "order": found.order,
+        "excess_variance": found.excess,
+        "slow_roll": {name: {"re": v.real, "im": v.imag} for name, v in found.slow_roll.items()},
+        "found": [
+            {
+                "speed": one.peak.speed,
+                "lower": one.peak.lower,
+                "upper": one.peak.upper,
+                "amplification": one.peak.amplification,
+                "frequency": one.frequency,
+                "damping_ratio": one.damping,
+                "std": dict(one.std),
+                "interval90": {name: list(one.interval90(name)) for name in ("speed", "amplification")},
+                "whirl": one.whirl if np.isfinite(one.whirl) else None,
+                "amplitude": {name: abs(value) for name, value in one.vectors.items()},
+            }
+            | ({} if operating is None or found.order != 1 else _margin_data(one, operating))
+            for one in found.found
+        ],
+    }
+
+
+def _margin_data(one: CriticalSpeed, operating: Operating) -> dict[str, Any]:
+    margin, verdict = margin_of(one, operating)
+    return {"separation_margin": {"actual": margin.actual, "required": margin.required, "verdict": verdict}}
+
+
+def _numbers(values: np.ndarray) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]
