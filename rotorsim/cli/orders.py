@@ -112,7 +112,7 @@ def command(
     names = _channels(tracked, signals)
     from rotorsim.signals.orders.critical_speeds import critical_speeds
 
-    kinds = sorted({channel.order for channel in tracked.channels.values()})
+    kinds = list(wanted) or sorted({channel.order for channel in tracked.channels.values()})
     found = [critical_speeds(run, tracked.channels, order) for run in tracked.runs for order in kinds]
     simulated = {} if beside is None else _simulated(beside, chosen.trust_blocks, given, kinds, turns)
     if plot:
@@ -131,7 +131,7 @@ def command(
     def said() -> str:
         parts = []
         for run in tracked.runs:
-            own = {name: tracked.channels[name] for name in names}
+            own = {name: tracked.channels[name] for name in names if tracked.channels[name].order in kinds}
             lines = [text.run_text(run), text.peaks_text(run, own)]
             lines += [text.critical_text(one, own, span) for one in found if one.run == run.id]
             parts.append("\n\n".join(lines))
@@ -174,11 +174,11 @@ def _given(read: Recording | OrderRecording, runs: Sequence[str], orders: Sequen
     ids = known_names(runs, [run.id for run in read.runs], lambda name: f"--run {name}: no such run in {read.name}")
     if isinstance(read, OrderRecording):
         refuse_if(turns > 1, "--turns: the rows of this table are as they were exported", read.name)
-        kept = {name: one for name, one in read.channels.items() if not orders or one.order in orders}
+        missing = [order for order in orders if order not in {one.order for one in read.channels.values()}]
         there = ", ".join(f"{order}X" for order in sorted({one.order for one in read.channels.values()}))
-        refuse_if(not kept, f"no channel of order {', '.join(map(str, orders))}", read.name, hint=f"there: {there}")
+        refuse_if(missing, f"no channel of order {', '.join(map(str, missing))}", read.name, hint=f"there: {there}")
         some = tuple(run for run in read.runs if not ids or run.id in ids)
-        return Given(replace(read, channels=kept, runs=some), None, ())
+        return Given(replace(read, runs=some), None, ())
     from rotorsim.signals.orders.extraction import tracked_recording
 
     chosen = [run for run in read.runs if run.id in ids] if ids else None

@@ -1,123 +1,132 @@
-"""rotorsim check, identify and diagnose with orders over the speed."""
+"""The verb ``orders``."""
+
+from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rotorsim.identification.identification import identify
-from rotorsim.model.load import load
-from rotorsim.recordings.orders import load_orders
-from rotorsim.report.identification.figures import identification_figures
+from rotorsim.recordings.order_writing import save_orders
+from rotorsim.signals.orders.extraction import tracked_recording
+from rotorsim.signals.orders.resonance import peak_of
 from tests.cli.conftest import Run
-from tests.identification.orders import ROTOR, noisy, passage, write
-from tests.report import undrawn
+from tests.signals.orders.machine import Mode, run_up
+
+QUICK = [
+    "--set=acceleration=300 rad/s^2",
+    "--set=solver.stop=4 s",
+    "--set=solver.step=0.05 ms",
+    "--set=solver.record_every=4",
+]
 
 
-@pytest.fixture(scope="module")
-def case(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("orders")
-    (folder / "disc.json").write_text(json.dumps(ROTOR))
-    speed, _, vectors = passage(1250.0, 230.0, 1)
-    write(folder / "up", speed, noisy(vectors, 5e-8))
-    return folder
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    """Return the folder of a table of 1X and 2X past one mode at 300 rad/s."""
+    recording = run_up([Mode(300.0, 0.03, 2e-5, -2e-5j)], 60.0, 500.0, 4.0, noise=2e-8)
+    save_orders(tmp_path / "table", tracked_recording(recording, [1, 2])[0])
+    return tmp_path / "table"
 
 
-def test_identify_prints_and_writes_what_orders_say(case, run: Run, tmp_path):
-    with undrawn():
-        done = run("identify", str(case / "disc.json"), str(case / "up"), "--out", "out")
-    assert done.exit_code == 0, done.output
-    assert "1X of rotor.displacement[1]" in done.stdout
-    data = json.loads((tmp_path / "out/identification.json").read_text())
-    assert data["slow_roll"]["1X of rotor.displacement[1]"]["amplitude"] == pytest.approx(1.5e-6, rel=0.05)
-    assert (tmp_path / "out/orders_up_1.png").exists()
-    assert load(str(tmp_path / "out/diagram.json")).name == "disc"
+def test_the_run_up_of_a_diagram_has_the_critical_speed_of_its_poles(run: Run) -> None:
+    """m s^3 + (c + k_i K_D) s^2 + (k - k_s + k_i K_P) s + k_i K_I = 0, and the peak of that pair of poles."""
+    found = run("orders", "jeffcott_runup", *QUICK, "--order", "1", "--json")
+    assert found.exit_code == 0, found.output
+    [critical] = json.loads(found.stdout)["critical_speeds"]
+    [one] = critical["found"]
+    k, ks, ki, KP, KI, KD = 7.6e5, 105210.0, 42.1, 12200.0, 2000.0, 3.0
+    s = max(np.roots([2.0, 76.0 + ki * KD, k - ks + ki * KP, ki * KI]), key=lambda root: root.imag)
+    truth = peak_of(abs(s), -s.real / abs(s))
+    assert one["speed"] == pytest.approx(truth.speed, rel=1e-4)
+    assert one["amplification"] == pytest.approx(truth.amplification, rel=1e-3)
+    assert one["whirl"] == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_figure_is_a_bode_plot_in_recorded_units_and_rpm(case):
-    recording = load_orders(case / "up")
-    figures = identification_figures(identify(load(str(case / "disc.json")), recording), recording)
-    amplitude, phase, left = figures["orders_up_1"].axes
-    assert amplitude.get_ylabel() == "amplitude [um, 0-peak]"
-    assert phase.get_ylabel() == "phase lag [deg]"
-    assert left.get_xlabel() == "speed [rpm]"
-    measured, simulated = amplitude.lines
-    assert [line.get_label() for line in amplitude.lines] == ["measured", "order-tracked simulation"]
-    [run] = recording.runs
-    np.testing.assert_allclose(measured.get_xdata(), run.speed * 30 / np.pi)
-    np.testing.assert_allclose(measured.get_ydata(), np.abs(run.vectors["x 1X"]) * 1e6)
-    np.testing.assert_allclose(simulated.get_ydata(), measured.get_ydata(), atol=0.4)
-    lag = phase.lines[0].get_ydata()
-    np.testing.assert_allclose(np.exp(-1j * np.radians(lag)), np.exp(1j * np.angle(run.vectors["x 1X"])), rtol=1e-9)
+def test_what_is_printed(run: Run, table: Path) -> None:
+    found = run("orders", str(table), "--operating", "3600 rpm:4200 rpm", "--signal", "rotor.displacement[1]")
+    assert found.exit_code == 0
+    lines = found.stdout.splitlines()
+    assert lines[0] == "up: run-up, 623.5 to 4764.7 rpm, 178 rows of 1 turn"
+    assert lines[2].split() == ["as", "recorded", "largest,", "0-peak", "at", "[rpm]", "N1", "N2", "AF"]
+    assert lines[3].startswith("1X of rotor.displacement[1] ")
+    assert lines[6].split()[:4] == ["1X:", "N_c", "[rpm],", "90"]
+    assert lines[6].split()[-2:] == ["SM", "required"]
+    assert lines[7].split()[-5:] == ["20.4", "%", "15.9", "%", "met"]
+    assert lines[-1] == "2X: no critical speed between 623.5 and 4764.7 rpm"
 
 
-def test_run_compares_a_diagram_as_it_is_with_orders(case, run: Run):
-    with undrawn():
-        done = run("run", str(case / "disc.json"), "--input", str(case / "up"), "--plot", "beside.png", "--json")
-    assert done.exit_code == 0, done.output
-    data = json.loads(done.stdout)
-    error = data["errors"]["1X of rotor.displacement[1]"]
-    assert 0.1 < error["nrmse"] < 1.0  # values of the diagram are off by 4 to 40 %
-    assert data["files"] == ["beside.png"]
-    close = ["--set", "rotor.stiffness=28000", "--set", "rotor.viscous_damping=8"]
-    close += ["--set", "unbalance.eccentricity=2 um", "--set", "unbalance.phase=0.6 rad"]
-    data = json.loads(run("run", str(case / "disc.json"), "--input", str(case / "up"), "--json", *close).stdout)
-    name = "1X of rotor.displacement[1]"
-    assert data["errors"][name]["rms"] == pytest.approx(5e-8 * np.sqrt(2), rel=0.15)
-    assert complex(*data["slow_roll"][name]) == pytest.approx(1.5e-6 * np.exp(-2.0j), abs=2e-8)
+def test_a_margin_that_the_intervals_leave_open_is_unsure(run: Run, table: Path) -> None:
+    """AF is 16.7 at a damping ratio of 0.03, which asks for 17 (1 - 1 / 15.2) = 15.9 %."""
+    found = json.loads(run("orders", str(table), "--order", "1", "--json").stdout)
+    [one] = found["critical_speeds"][0]["found"]
+    needed = 17 * (1 - 1 / (one["amplification"] - 1.5))
+    for share, verdict in ((needed - 0.2, "not met"), (needed, "unsure"), (needed + 0.2, "met")):
+        lowest = one["speed"] / (1 - share / 100)
+        again = run("orders", str(table), "--order", "1", "--json", "--operating", f"{lowest!r}:{2 * lowest!r}")
+        margin = json.loads(again.stdout)["critical_speeds"][0]["found"][0]["separation_margin"]
+        assert margin["verdict"] == verdict
+        assert margin["actual"] == pytest.approx(share)
+        assert margin["required"] == pytest.approx(15.9, abs=0.1)
 
 
-def test_run_refuses_what_orders_do_not_have(case, run: Run):
-    done = run("run", str(case / "disc.json"), "--input", str(case / "up"), "--start", "diagram", "--out", "x.csv")
-    assert done.exit_code == 2
-    assert "--start does not go with orders" in done.stderr
-    assert "--out does not go with orders" in done.stderr
-    done = run("run", str(case / "disc.json"), "--input", str(case / "up"), "--run", "upp")
-    assert done.exit_code == 2
-    assert "no run 'upp'" in done.stderr
+@pytest.mark.parametrize("figure", ["bode", "polar", "cascade", "centreline"])
+def test_figures_are_drawn(run: Run, figure: str) -> None:
+    found = run("orders", "jeffcott_runup", *QUICK, "--order", "1", "--figure", figure, "--plot", "a.png")
+    assert found.exit_code == 0, found.output
+    assert Path("a.png").stat().st_size > 10_000
 
 
-def test_check_takes_orders_and_compares_them_with_a_diagram(case, run: Run):
-    done = run("check", str(case / "disc.json"), str(case / "up"))
-    assert done.exit_code == 0
-    assert "orders of 1 channel, 1 run, 90 rows, no mistakes" in done.stdout
-    done = run("check", "emps", str(case / "up"))
-    assert done.exit_code == 2
-    assert "channel x 1X: no such signal" in done.stderr
+def test_a_diagram_stands_beside_a_table(run: Run, table: Path) -> None:
+    found = run("orders", str(table), "--order", "1", "--beside", "jeffcott", "--plot", "a.png")
+    assert found.exit_code == 0, found.output
+    assert Path("a.png").stat().st_size > 10_000
 
 
-def test_verbs_that_need_samples_refuse_orders(case, run: Run):
-    done = run("locate", str(case / "disc.json"), str(case / "up"))
-    assert done.exit_code == 2
-    assert "recording.json:2:10: error: these are orders over the speed, not samples in time" in done.stderr
-    assert "hint: 'identify', 'diagnose', 'run --input' and 'check' take them" in done.stderr
+def test_a_table_is_written_and_read_back(run: Run, table: Path) -> None:
+    found = run("orders", str(table), "--slow-roll", "600 rpm:800 rpm", "--out", "b", "--amplitude", "peak-peak")
+    assert found.exit_code == 0
+    assert found.stderr == f"written: {Path('b', 'recording.json')}\n"
+    document = json.loads(Path("b/recording.json").read_text())
+    assert (document["amplitude"], document["slow_roll"]) == ("peak-peak", "subtracted")
+    again = run("orders", "b", "--slow-roll", "600 rpm:800 rpm")
+    assert again.exit_code == 2
+    assert "slow roll was subtracted already" in again.stderr
 
 
-@pytest.mark.slow
-def test_diagnose_takes_orders_and_writes_bode_plots(case, run: Run, tmp_path):
-    physics = ("--physics", "cubic_stiffness", "--workers", "1")
-    with undrawn():
-        done = run("diagnose", str(case / "disc.json"), str(case / "up"), "--out", "out", *physics)
-    assert done.exit_code == 1, done.output
-    assert done.stdout.startswith("verdict: not_identifiable")
-    assert "Next experiment: a second probe at right angles: " in done.stdout
-    data = json.loads((tmp_path / "out/diagnosis.json").read_text())
-    assert data["fit"]["before"]["adequate"]
-    assert data["fit"]["before"]["goodness"] > 1e-4
-    assert (tmp_path / "out/orders_up_1.png").exists()
-    assert (tmp_path / "out/residuals.png").exists()
-    assert "Amplitude (0-peak) and phase lag of order vectors" in (tmp_path / "out/report.html").read_text()
-    assert load(str(tmp_path / "out/diagram.json")).name == "disc"
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (("--order", "7"), 2, "error: machine: no channel of order 7\n\nhint: there: 1X, 2X\n"),
+        (("--run", "dwon"), 2, "error: --run dwon: no such run in machine\n"),
+        (("--signal", "rotor.x"), 2, "error: --signal rotor.x: not measured in machine\n"),
+        (("--turns", "4"), 2, "error: machine: --turns: the rows of this table are as they were exported\n"),
+        (("--operating", "5 m"), 2, "error: --operating 5 m: unit 'm' does not fit 'rad/s'\n"),
+        (
+            ("--operating", "9 rpm:5 rpm"),
+            2,
+            "error: --operating 9 rpm:5 rpm: not LOW:HIGH\n\nhint: for example --operating '3000 rpm:3600 rpm'\n",
+        ),
+        (("--set", "a=1"), 2, "--set and --without need a diagram, not a recording"),
+        (
+            ("--figure", "cascade", "--plot", "a.png"),
+            2,
+            "error: machine, up: --figure cascade needs samples: these are order vectors\n\n"
+            "hint: bode and polar are drawn of tables\n",
+        ),
+        (("--slow-roll", "1 rpm:5 rpm"), 1, "error: run up: no row between 1 and 5 rpm: slow roll is not known\n"),
+    ],
+)
+def test_what_is_refused(run: Run, table: Path, arguments: tuple[str, ...], code: int, said: str) -> None:
+    found = run("orders", str(table), *arguments)
+    assert found.exit_code == code
+    assert said in found.stderr
 
 
-def test_the_example_of_the_page_is_a_recording_of_orders(tmp_path):
-    page = (Path(__file__).parents[2] / "docs/recordings.md").read_text(encoding="utf-8")
-    [_, text] = re.findall(r"^```json\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
-    (tmp_path / "recording.json").write_text(text)
-    rows = [f"{1000 + k},{10 + k},{90 + k},12,80" for k in range(20)]
-    (tmp_path / "up.csv").write_text("\n".join(["rpm,amp_x,ph_x,amp_y,ph_y", *rows]))
-    x, y = load_orders(tmp_path).runs[0].vectors.values()
-    assert x[5] == pytest.approx(7.5e-6 * np.exp(-1j * np.radians(95)))
-    assert y[5] == pytest.approx(6e-6 * np.exp(-1j * np.radians(80)))
+def test_a_diagram_at_one_speed_is_refused(run: Run) -> None:
+    found = run("orders", "jeffcott", "--set", "solver.stop=0.1 s")
+    assert found.exit_code == 1
+    assert found.stderr == (
+        "error: jeffcott: no run changes its speed\n\nhint: rotorsim spectrum shows harmonics of runs at one speed\n"
+    )

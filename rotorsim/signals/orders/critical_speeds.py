@@ -82,10 +82,9 @@ def critical_speeds(run: OrderRun, channels: Mapping[str, OrderChannel], order: 
 
     Raises RotorsimError where no channel has that order, or rows are missing so often that noise is not seen.
     """
-    names = [name for name, one in channels.items() if one.order == order and np.isfinite(run.vectors[name]).any()]
-    if not names:
+    if not any(one.order == order and np.isfinite(run.vectors[name]).any() for name, one in channels.items()):
         raise RotorsimError(Problem(f"no channel of {order}X was measured", f"run {run.id}"))
-    data = PassedRun.of(run, names, order)
+    data = PassedRun.of(run, channels, order)
     fit = ModalFit(data, np.zeros((0, 2)))
     while len(fit.modes) < MOST_MODES:
         trial = with_one_more(data, fit)

@@ -40,10 +40,12 @@ def tracked_recording(
     y = sum_k Re Y_k exp(i k theta), with the orders wanted and others beside them, by least squares row by row. What
     grows within a turn leaks into other orders: envelopes are therefore smooth curves through the rows, and what they
     leave is taken row by row once more. Y_k is the mean of the envelope over the row, 0-peak, its phase a lead against
-    the mark. runs: those that are wanted (default: all that are run-ups or coast-downs).
+    the mark. 1X is always tracked: it tells what may leak into others. runs: those that are wanted (default: all that
+    are run-ups or coast-downs).
     Raises RotorsimError for runs at one speed, of which nothing tells the angle, or with too few samples a turn.
     Source: A. Brandt, Noise and Vibration Analysis (2011), ch. 12 (order tracking).
     """
+    orders = sorted({1, *orders})
     measured = {column: one for column, one in recording.channels.items() if one.signal not in (ANGLE, TACHO)}
     channels = {
         f"{column} {order}X": OrderChannel(**{**vars(channel), "coupling": "dc"}, order=order)

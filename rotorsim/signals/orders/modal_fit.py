@@ -6,17 +6,18 @@ F. M. Dimentberg, Flexural Vibrations of Rotating Shafts (1961), ch. 4 (passage 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
 from math import log, pi
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.recordings.orders import OrderRun
+from rotorsim.recordings.orders import OrderChannel, OrderRun
 from rotorsim.signals.orders.rows import row_noise, row_times, slowness
 
 SEARCH_EVALUATIONS = 50  # of one search
@@ -27,6 +28,7 @@ STARTS, FIRST_DAMPING = 40, (0.01, 0.05)  # speeds over the run, and damping rat
 LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.7
 WORTH_TOGETHER = 64  # steps: fewer are faster one by one
 PRODUCT = 1e-6  # of decays over steps that are taken together: ten digits are left of what is divided by it
+LEAKS = 1e-3  # of the rms of the largest order of a channel: what tracking leaves of it in others at most
 BELIEVED = 1e-3  # of the rms of a channel: noise below is not believed
 MAINS = (50.0, 60.0)  # Hz
 NOISY = 2.0  # times the square that noise alone leaves in a direction
@@ -51,15 +53,20 @@ class PassedRun:
     order: int
 
     @classmethod
-    def of(cls, run: OrderRun, names: list[str], order: int) -> PassedRun:
-        known, noise = [], []
+    def of(cls, run: OrderRun, channels: Mapping[str, OrderChannel], order: int) -> PassedRun:
+        """Return the vectors of one order of a run, over the noise of their rows, or what leaks from other orders."""
+        known, noise, names = [], [], [name for name, one in channels.items() if one.order == order]
+        names = [name for name in names if np.isfinite(run.vectors[name]).any()]
         for name in names:
+            place = channels[name].name
+            beside = [run.vectors[other] for other, one in channels.items() if one.name == place]
             found = row_noise([run.vectors[name]], BELIEVED)
             if found is None:
                 hint = "seven rows one after another, of this channel"
                 raise RotorsimError(Problem("too many rows are missing to tell noise from motion", name, hint=hint))
+            leaks = max(float(np.nanmean(np.abs(y) ** 2)) for y in beside if np.isfinite(y).any()) * LEAKS**2 / 2
             known.append(run.vectors[name])
-            noise.append(np.sqrt(found))
+            noise.append(np.sqrt(max(found, leaks)))
         rows = row_times(run)
         turned = float(rows.angle(rows.end) - rows.angle(rows.begin))
         time = np.linspace(rows.begin, rows.end, max(int(turned / (2 * pi) * STEPS_OF_TURN), 2) + 1)
@@ -128,9 +135,8 @@ class PassedRun:
 
     def averaged(self, values: np.ndarray) -> np.ndarray:
         """Return values (N,) on the grid averaged over the angle of each row, (n,)."""
-        whole = cumulative_trapezoid(values, self.angle, initial=0.0)
-        at = np.interp(self.ends, self.angle, whole.real) + 1j * np.interp(self.ends, self.angle, whole.imag)
-        return np.asarray((at[:, 1] - at[:, 0]) / (self.ends[:, 1] - self.ends[:, 0]))
+        whole = CubicSpline(self.angle, values).antiderivative()(self.ends)
+        return np.asarray((whole[:, 1] - whole[:, 0]) / (self.ends[:, 1] - self.ends[:, 0]))
 
     def mode(self, w: float, z: float) -> np.ndarray:
         """Return the vectors of one mode along the run, (n,)."""
