@@ -50,6 +50,12 @@ SWEPT = {
 }
 
 
+RAN_UP = (
+    'record jeffcott_runup --set "acceleration=300 rad/s^2" --set "solver.stop=3.4 s" '
+    '--set "solver.step=0.05 ms" --window "0.2 s:3.4 s" --rate "5000 Hz" --noise "0.5 %" --out runup'
+)
+
+
 @dataclass(frozen=True)
 class Picture:
     """Commands of rotorsim in an empty folder, and the file among what they leave that is the picture."""
@@ -85,6 +91,12 @@ PICTURES = {
             "spectrum measured --run run02 --plot spectrum.png",
         ),
         "spectrum.png",
+    ),
+    "orders_bode.png": Picture(
+        (RAN_UP, 'orders runup --order 1 --operating "9000 rpm:9500 rpm" --plot bode.png'), "bode.png"
+    ),
+    "orders_polar.png": Picture(
+        (RAN_UP, "orders runup --order 1 --beside jeffcott --figure polar --plot polar.png"), "polar.png"
     ),
     "identified.png": Picture((TWO_SETS, "identify jeffcott two_sets --out result"), "result/parameters.png"),
     "identified_curve.png": Picture((TWO_SETS, "identify jeffcott two_sets --out result"), "result/speed_curve.png"),

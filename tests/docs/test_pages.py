@@ -20,6 +20,7 @@ PAGES = [
     "docs/diagnosis.md",
     "docs/diagrams.md",
     "docs/identification.md",
+    "docs/orders.md",
     "docs/recordings.md",
     "docs/sweeps.md",
     "docs/thesis.md",
@@ -30,6 +31,7 @@ LONG = {
     "docs/diagrams.md",
     "docs/recordings.md",
     "docs/identification.md",
+    "docs/orders.md",
     "docs/sweeps.md",
     "docs/thesis.md",
 }
