@@ -25,6 +25,7 @@ _HOME = {
     "check_signals": "measure.checks",
     "compile_diagram": "model.compiled",
     "cosimulate": "cosim.cosimulation",
+    "critical_speeds": "signals.orders.critical_speeds",
     "design_state_feedback": "linear.design",
     "diagnose": "diagnosis.diagnosis",
     "envelope": "signals.envelopes",
@@ -49,11 +50,14 @@ _HOME = {
     "save_diagnosis": "diagnosis.files",
     "save_ensemble": "simulation.ensemble.files",
     "save_identification": "identification.files",
+    "save_orders": "recordings.order_writing",
     "save_recording": "recordings.writing",
     "sensitivity": "linear.frequency",
+    "separation_margin": "signals.orders.resonance",
     "simulate": "simulation.run",
     "simulate_as_recorded": "identification.as_recorded",
     "simulate_many": "simulation.ensemble.many",
+    "tracked_recording": "signals.orders.extraction",
 }
 __all__ = ["__version__", *_HOME]
 __version__ = "0.1.0"

@@ -20,7 +20,7 @@ from rotorsim.signals.orders.extraction import Positions
 CHANNEL_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, RED, GREY)
 MOST_CHANNELS = len(CHANNEL_COLOURS)
 SPEED_MARKS = 8  # speeds that are written along a polar plot, at most
-SPECTRA = 40  # curves of a cascade
+MOST_WINDOWS = 40  # curves of a cascade
 CASCADE_ORDERS = 5.0  # of the highest speed
 FLOOR = 1e-3  # of the largest line in a cascade: what is smaller lies on the base line
 
@@ -167,7 +167,7 @@ def cascade_plot(
     step = float(time[-1] - time[0]) / (len(time) - 1)
     n = max(int(window / step), 8)
     known = np.flatnonzero(np.isfinite(speed))
-    starts = np.unique(np.linspace(known[0], max(known[-1] - n, known[0]), SPECTRA).astype(int))
+    starts = np.unique(np.linspace(known[0], max(known[-1] - n, known[0]), MOST_WINDOWS).astype(int))
     taper = np.hanning(n)
     frequency = np.fft.fftshift(np.fft.fftfreq(n, step))
     rows = []

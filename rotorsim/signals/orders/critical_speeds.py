@@ -32,7 +32,7 @@ from rotorsim.signals.orders.resonance import Peak, peak_of
 from rotorsim.signals.orders.rows import slowness
 
 MOST_MODES = 4
-STRONG = 10.0  # by which the criterion must fall for one more mode: very strong evidence; Kass & Raftery (1995)
+VERY_STRONG = 10.0  # by which the criterion must fall for one more mode: very strong evidence; Kass & Raftery (1995)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ def critical_speeds(run: OrderRun, channels: Mapping[str, OrderChannel], order: 
     fit = ModalFit(data, np.zeros((0, 2)))
     while len(fit.modes) < MOST_MODES:
         trial = with_one_more(data, fit)
-        if trial.gain(fit) < STRONG or trial.has_twins:
+        if trial.gain(fit) < VERY_STRONG or trial.has_twins:
             break
         fit = trial
     return _said(run, channels, order, data, fit)

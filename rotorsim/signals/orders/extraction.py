@@ -16,10 +16,10 @@ from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
 from rotorsim.signals.shaft_angle import run_up_in_words
 from rotorsim.signals.turning import turning
 
-BESIDE = 8  # further orders that are fitted along, so that they do not leak into those wanted
+ORDERS_BESIDE = 8  # further orders that are fitted along, so that they do not leak into those wanted
 SAMPLES_OF_UNKNOWN = 1.5  # of a row, for each of its unknowns
-PASSES = 6  # of what leaks, each leaves half or less
-ROUNDING = 1e-9  # of a turn
+LEAK_PASSES = 6  # of what leaks, each leaves half or less
+TURN_ROUNDING = 1e-9  # of a turn
 _TURN = 2 * pi
 
 
@@ -87,7 +87,7 @@ def _tracked(
     sign = -1.0 if theta[known][-1] < theta[known][0] else 1.0
     time, turned = run.time[known], sign * theta[known]
     length = _TURN * turns
-    first, last = np.ceil(turned[0] / _TURN - ROUNDING), np.floor(turned[-1] / _TURN + ROUNDING)
+    first, last = np.ceil(turned[0] / _TURN - TURN_ROUNDING), np.floor(turned[-1] / _TURN + TURN_ROUNDING)
     marks = _TURN * (first + turns * np.arange(max(int((last - first) // turns), 0) + 1))
     if len(marks) <= LEAST_ORDER_ROWS:
         what = f"{len(marks) - 1} rows of {counted_turns(turns)}: {LEAST_ORDER_ROWS} are needed"
@@ -104,7 +104,7 @@ def _tracked(
     part = slice(edges[0], edges[-1])
     columns = [column for column in columns if column in run.values]
     y = np.stack([run.values[column][known][part] for column in columns], axis=1)
-    fitted = min(max(orders) + BESIDE, most)
+    fitted = min(max(orders) + ORDERS_BESIDE, most)
     means = _row_means(theta[known][part], turned[part], y, edges - edges[0], marks, fitted)
     named = {f"{column} {order}X": means[:, order, c] for c, column in enumerate(columns) for order in orders}
     middles = (ends[1:] + ends[:-1]) / 2
@@ -129,7 +129,7 @@ def _row_means(
         basis = np.hstack([waves[a:b].real, -waves[a:b, 1:].imag])
         inverses.append(np.linalg.pinv(basis))
     envelopes = np.zeros((n, highest + 1, c), complex)
-    for _ in range(PASSES):
+    for _ in range(LEAK_PASSES):
         for k, ((a, b), inverse) in enumerate(zip(pairwise(edges), inverses, strict=True)):
             parts = inverse @ e[a:b]
             envelopes[k] += parts[: highest + 1]

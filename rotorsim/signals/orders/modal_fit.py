@@ -19,18 +19,19 @@ from scipy.optimize import least_squares
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.orders import OrderChannel, OrderRun
 from rotorsim.signals.orders.rows import row_noise, row_times, slowness
+from rotorsim.signals.pickup import MAINS
 
 SEARCH_EVALUATIONS = 50  # of one search
-CONVERGED = 1e-7  # of the misfit: a thousandth of what one standard deviation of a parameter changes it, of 10^4 rows
+MODES_CONVERGED = 1e-7  # of the misfit: of 10^4 rows a thousandth of what one standard deviation changes
 STEPS_OF_TURN = 8  # of what turns with the shaft next to nothing changes in a part of one
 SAME_SHAPE = 0.9  # modal assurance criterion, from which two shapes are one; Allemang, Sound & Vib. 37 (2003) 14
-STARTS, FIRST_DAMPING = 40, (0.01, 0.05)  # speeds over the run, and damping ratios, from which a mode is looked for
+START_SPEEDS = 40  # over the run, from which a mode is looked for
+FIRST_DAMPING = (0.01, 0.05)
 LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.7
 WORTH_TOGETHER = 64  # steps: fewer are faster one by one
 PRODUCT = 1e-6  # of decays over steps that are taken together: ten digits are left of what is divided by it
 LEAKS = 1e-3  # of the rms of the largest order of a channel: what tracking leaves of it in others at most
 BELIEVED = 1e-3  # of the rms of a channel: noise below is not believed
-MAINS = (50.0, 60.0)  # Hz
 NOISY = 2.0  # times the square that noise alone leaves in a direction
 
 
@@ -38,7 +39,7 @@ NOISY = 2.0  # times the square that noise alone leaves in a direction
 class PassedRun:
     """Vectors (n, c) over their noise, on a grid of times (N,) with the speed and force between them.
 
-    edges (n, 2): places on the grid where rows begin and end, in parts of its steps.
+    acceleration [rad/s^2], as speed; angle (N,); ends (n, 2): angles where rows begin and end; rows (n,): their speeds.
     """
 
     names: list[str]
@@ -224,7 +225,7 @@ def with_one_more(run: PassedRun, fit: ModalFit) -> ModalFit:
         trial = ModalFit(few, np.vstack([fit.modes, mode]))
         return float(trial.residual @ trial.residual)
 
-    first = min(product(np.linspace(low, high, STARTS).tolist(), FIRST_DAMPING), key=cost)
+    first = min(product(np.linspace(low, high, START_SPEEDS).tolist(), FIRST_DAMPING), key=cost)
     start = np.vstack([fit.modes, first])
     start[:, 1] = np.log(start[:, 1])
     least = np.array([0.5 * low, log(LEAST_DAMPING)] * len(start))
@@ -235,7 +236,7 @@ def with_one_more(run: PassedRun, fit: ModalFit) -> ModalFit:
 
     begin = np.clip(start.ravel(), least, most)
     found = least_squares(
-        residual, begin, bounds=(least, most), x_scale=_scale(start), max_nfev=SEARCH_EVALUATIONS, ftol=CONVERGED
+        residual, begin, bounds=(least, most), x_scale=_scale(start), max_nfev=SEARCH_EVALUATIONS, ftol=MODES_CONVERGED
     )
     return ModalFit(run, _unfolded(found.x))
 

@@ -13,7 +13,7 @@ from rotorsim.recordings.orders import OrderRun
 
 DIFFERENCES = 6  # order of the differences between rows that noise is seen in: of what lasts 8 rows they keep 0.7 %
 MOST_CORRELATED = 0.98  # of what is left, from row to row: a hundred rows count as one
-ANGLE_STEPS = 4  # each doubles the digits
+SOLVING_STEPS = 4  # each doubles the digits
 _TURN = 2 * pi
 _BEHIND = 1.05  # of the half row behind the last middle: the speed there is extrapolated
 
@@ -48,7 +48,7 @@ def row_times(run: OrderRun) -> RowTimes:
     def near(k: int, turned: float) -> float:
         """Return when the shaft is by an angle further than in the middle of row k, its speed going on as there."""
         at = float(middles[k] + turned / run.speed[k])
-        for _ in range(ANGLE_STEPS):
+        for _ in range(SOLVING_STEPS):
             if speed(at) > run.speed[k] / 2:
                 at += float((angle(middles[k]) + turned - angle(at)) / speed(at))
         return at
