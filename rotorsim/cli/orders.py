@@ -115,17 +115,6 @@ def command(
     kinds = list(wanted) or sorted({channel.order for channel in tracked.channels.values()})
     found = [critical_speeds(run, tracked.channels, order) for run in tracked.runs for order in kinds]
     simulated = {} if beside is None else _simulated(beside, chosen.trust_blocks, given, kinds, turns)
-    if plot:
-        refuse_if(
-            len(tracked.runs) > 1,
-            f"--plot draws one run, {chosen.name} has {len(tracked.runs)}",
-            hint=f"--run {tracked.runs[0].id}, for example",
-        )
-        save_plot(lambda: _figure(figure, given, found[0], names, simulated, beside or "", span), plot)
-    if out:
-        from rotorsim.recordings.order_writing import save_orders
-
-        note(f"written: {save_orders(out, tracked, amplitude=amplitude, phase=phase, overwrite=overwrite)}")
     from rotorsim.report.text import orders as text
 
     def said() -> str:
@@ -137,7 +126,23 @@ def command(
             parts.append("\n\n".join(lines))
         return "\n\n\n".join(parts)
 
-    show(as_json, lambda: text.orders_data(tracked, found, span), said)
+    words = said()
+    if plot:
+        refuse_if(
+            len(tracked.runs) > 1,
+            f"--plot draws one run, {chosen.name} has {len(tracked.runs)}",
+            hint=f"--run {tracked.runs[0].id}, for example",
+        )
+        save_plot(lambda: _figure(figure, given, found[0], names, simulated, beside or "", span), plot)
+    if out:
+        from rotorsim.recordings.order_writing import save_orders
+
+        note(f"written: {save_orders(out, tracked, amplitude=amplitude, phase=phase, overwrite=overwrite)}")
+    show(as_json, lambda: text.orders_data(tracked, found, span), lambda: words)
+    untold = [f"{one.run}, {one.order}X" for one in found if not (one.found or one.explained)]
+    hint = "a speed that turns back, a rub, a clipped probe? the figure shows what the modes leave"
+    what = "the motion is not that of linear modes, and no critical speed is told"
+    refuse_if(untold, what, "; ".join(untold), hint=hint, exit_code=1)
 
 
 def _span(text: str, option: str) -> tuple[float, float]:
@@ -145,6 +150,7 @@ def _span(text: str, option: str) -> tuple[float, float]:
     ends = [quantity(part.strip(), "rad/s", option) for part in text.split(":")]
     hint = f"for example {option} '3000 rpm:3600 rpm'"
     refuse_if(len(ends) > 2 or min(ends) < 0 or ends[-1] < ends[0], f"{option} {text}: not LOW:HIGH", hint=hint)
+    refuse_if(ends[-1] == 0, f"{option} {text}: a shaft that does not turn", hint=hint)
     return ends[0], ends[-1]
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +36,14 @@ def save_orders(
     for word, known in ((amplitude, TO_PEAK), (phase, PHASES)):
         if word not in known:
             raise RotorsimError(Problem(f"'{word}' says not what numbers are", hint=near_miss(word, known)))
+    backward = [run for run in recording.runs if run.sense < 0]
+    if backward:
+        hint = "exchange the axes of the recording, so that the shaft turns from x to y"
+        what = "a table does not say that the shaft turns from y to x"
+        raise RotorsimError(*(Problem(what, f"run {run.id}", run.place, hint) for run in backward))
     folder = Path(folder)
-    names = {run.id: f"{run.id}.csv" for run in recording.runs}
+    names = {run.id: f"{_plain(run.id, k)}.csv" for k, run in enumerate(recording.runs)}
+    columns = {name: _plain(name, k) for k, name in enumerate(recording.channels)}
     document: dict[str, Any] = {
         "kind": "orders",
         "name": recording.name,
@@ -48,7 +56,12 @@ def save_orders(
             | ({} if one.axis is None else {"axis": one.axis})
             | ({} if one.node is None else {"node": one.node})
             | ({} if one.position is None else {"position": f"{one.position!r} m"})
-            | {"unit": one.unit, "order": one.order, "amplitude": f"{name} amplitude", "phase": f"{name} phase"}
+            | {
+                "unit": one.unit,
+                "order": one.order,
+                "amplitude": f"{columns[name]} amplitude",
+                "phase": f"{columns[name]} phase",
+            }
             for name, one in recording.channels.items()
         },
         "runs": [
@@ -61,18 +74,26 @@ def save_orders(
     }
     make_folder(folder, [FILE, *names.values()], overwrite)
     for run in recording.runs:
-        write_table(folder / names[run.id], _table(recording, run, amplitude, phase))
+        write_table(folder / names[run.id], _table(recording, run, columns, amplitude, phase))
     path = folder / FILE
     write_atomically(path, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     return path
 
 
-def _table(recording: OrderRecording, run: OrderRun, amplitude: str, phase: str) -> dict[str, np.ndarray]:
+def _plain(name: str, number: int) -> str:
+    """Return a name as it is where any reader of CSV files takes it, else without what is special there, numbered."""
+    plain = re.sub(r"[^A-Za-z0-9 _.\[\]-]", "_", name)
+    return name if plain == name else f"{plain} {number + 1}"
+
+
+def _table(
+    recording: OrderRecording, run: OrderRun, columns: Mapping[str, str], amplitude: str, phase: str
+) -> dict[str, np.ndarray]:
     """Return the columns of a run."""
     table = {} if run.time is None else {"t": run.time}
     table["rpm"] = run.speed * 30 / math.pi
     for name, channel in recording.channels.items():
         values = run.vectors.get(name, np.full(len(run.speed), np.nan, complex))
-        table[f"{name} amplitude"] = np.abs(values) / TO_PEAK[amplitude] / conversion(channel.unit, None)
-        table[f"{name} phase"] = PHASES[phase] * np.degrees(np.angle(values))
+        table[f"{columns[name]} amplitude"] = np.abs(values) / TO_PEAK[amplitude] / conversion(channel.unit, None)
+        table[f"{columns[name]} phase"] = PHASES[phase] * np.degrees(np.angle(values))
     return table

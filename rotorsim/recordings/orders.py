@@ -24,6 +24,7 @@ PHASES = {"lead": 1.0, "lag": -1.0}  # word -> sign of a lead
 SLOW_ROLLS = ("included", "subtracted")
 LARGEST_CHANGE = 0.2  # of the speed in a turn: rows further apart are no successive turns
 LEAST_ORDER_ROWS = 20  # of a run
+OVERLAP = 0.9  # of the turns of a row: rows that are nearer share samples
 _RPM = math.pi / 30.0
 
 _RUN_KEYS = {key: RECORDING_KEYS["run"][key] for key in ("id", "file", "time", "set", "use", "description")}
@@ -83,6 +84,7 @@ class OrderRun:
     speed (n,): mean over the turns of each row [rad/s]. vectors: channel -> (n,) complex, SI, 0-peak,
     2 mean(x exp(-i order theta)) over the turns of the row; NaN where nothing was measured. time (n,) [s]: of the
     middle of each row; None: the rows are successive turns. turns: of each row. settings, use, place: as of `Run`.
+    sense: 1 where the shaft turns from x to y, -1 the other way round; its angle is counted as it turns.
     """
 
     id: str
@@ -94,6 +96,7 @@ class OrderRun:
     settings: Mapping[str, Any]
     use: str
     place: Place
+    sense: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +207,11 @@ def _with_rows(run: OrderRun, table: _Table, channels: Mapping[str, OrderChannel
             warnings.append(Problem(what, f"{subject}, {name}", Place(run.file), severity="warning"))
     if problems:
         raise RotorsimError(*problems, exit_code=1)
+    apart = np.inf if time is None else float(np.median(np.diff(time) * speed[1:])) / (2 * math.pi)
+    if apart < OVERLAP * run.turns:
+        what = f"rows overlap: each is the mean of {run.turns} turns, and they are {apart:.3g} turns apart"
+        hint = "are turns, time and speed right?"
+        warnings.append(Problem(what, subject, Place(run.file), hint, severity="warning"))
     warnings += [replace(one, place=replace(one.place, file=run.file)) for one in read.warnings]
     return replace(run, speed=speed, vectors=vectors, time=time)
 

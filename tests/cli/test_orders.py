@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import csv
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rotorsim import load_orders
 from rotorsim.recordings.order_writing import save_orders
 from rotorsim.signals.orders.extraction import tracked_recording
 from rotorsim.signals.orders.resonance import peak_of
@@ -108,6 +112,12 @@ def test_a_table_is_written_and_read_back(run: Run, table: Path) -> None:
             2,
             "error: --operating 9 rpm:5 rpm: not LOW:HIGH\n\nhint: for example --operating '3000 rpm:3600 rpm'\n",
         ),
+        (
+            ("--operating", "0 rpm"),
+            2,
+            "error: --operating 0 rpm: a shaft that does not turn\n\n"
+            "hint: for example --operating '3000 rpm:3600 rpm'\n",
+        ),
         (("--set", "a=1"), 2, "--set and --without need a diagram, not a recording"),
         (
             ("--figure", "cascade", "--plot", "a.png"),
@@ -130,3 +140,63 @@ def test_a_diagram_at_one_speed_is_refused(run: Run) -> None:
     assert found.stderr == (
         "error: jeffcott: no run changes its speed\n\nhint: rotorsim spectrum shows harmonics of runs at one speed\n"
     )
+
+
+def _changed(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> None:
+    """Change the columns of the table in a folder."""
+    with (folder / "up.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    columns = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    change(columns)
+    np.savetxt(
+        folder / "up.csv",
+        np.column_stack(list(columns.values())),
+        delimiter=",",
+        header=",".join(f'"{name}"' for name in columns),
+        comments="",
+    )
+
+
+def test_motion_that_is_none_of_linear_modes_is_said_and_exits_with_one(run: Run, table: Path) -> None:
+    def wavy(columns: dict[str, np.ndarray]) -> None:
+        for axis in "xy":
+            columns[f"{axis} 1X phase"][:] = 40 * np.cos(columns["rpm"] / 80)
+            columns[f"{axis} 1X amplitude"][:] = 1e-5 * (1 + 0.3 * np.sin(columns["rpm"] / 60))
+
+    _changed(table, wavy)
+    found = run("orders", str(table), "--order", "1")
+    assert found.exit_code == 1
+    assert "1X: no critical speed is told between 623.5 and 4764.7 rpm: linear modes leave " in found.stdout
+    assert "error: up, 1X: the motion is not that of linear modes, and no critical speed is told" in found.stderr
+
+
+def test_a_speed_that_rises_and_falls_is_no_run_up(run: Run, table: Path) -> None:
+    def mirrored(columns: dict[str, np.ndarray]) -> None:
+        for name, values in [*columns.items()]:
+            columns[name] = np.concatenate([values, 2 * values[-1] - values[::-1] if name == "t" else values[::-1]])
+        columns["t"] = np.maximum.accumulate(columns["t"]) + 1e-6 * np.arange(len(columns["t"]))
+
+    _changed(table, mirrored)
+    found = run("orders", str(table), "--order", "1")
+    assert found.stdout.startswith("up: speed rises and falls, 623.5 to 4764.7 rpm, 356 rows of 1 turn\n")
+    assert found.stdout.splitlines()[3].split()[-3:] == ["-", "-", "-"]
+
+
+def test_rows_that_overlap_are_warned_of(run: Run, table: Path) -> None:
+    document = json.loads((table / "recording.json").read_text())
+    document["runs"][0]["turns"] = 4
+    (table / "recording.json").write_text(json.dumps(document))
+    found = run("orders", str(table), "--order", "1")
+    assert "warning: run up: rows overlap: each is the mean of 4 turns, and they are 1 turns apart\n" in found.stderr
+
+
+def test_names_that_a_csv_cannot_hold_are_written_plainly_and_read_back(run: Run, tmp_path: Path) -> None:
+    recording = run_up([Mode(300.0, 0.03, 2e-5, -2e-5j)], 60.0, 500.0, 4.0, noise=2e-8)
+    orders, _ = tracked_recording(recording, [1])
+    renamed = {'x, "1" %;=': orders.channels["x 1X"], "y 1X": orders.channels["y 1X"]}
+    vectors = dict(zip(renamed, orders.runs[0].vectors.values(), strict=False))
+    odd = replace(orders, channels=renamed, runs=(replace(orders.runs[0], vectors=vectors),))
+    save_orders(tmp_path / "odd", odd)
+    again = load_orders(tmp_path / "odd")
+    for name, values in vectors.items():
+        assert again.runs[0].vectors[name] == pytest.approx(values, abs=1e-15)

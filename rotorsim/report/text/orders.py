@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from rotorsim.units import conversion
 
 WHIRLS = ((0.2, "forward"), (-0.2, "planar"), (-np.inf, "backward"))  # from which share of a circle
 SHOWN_CHANNELS = 4
-MUCH = 2.0  # times the variance of the noise: beyond, a fit has something left to explain
+ONE_WAY = 0.8  # of the range of its speeds, between the first and the last row of a run-up or coast-down
 Operating = tuple[float, float]  # lowest and highest speed [rad/s]
 
 
@@ -24,6 +24,8 @@ def run_text(run: OrderRun) -> str:
     """Return what a run is, in one line."""
     first, last = rpm(run.speed[0]), rpm(run.speed[-1])
     what = "run-up" if last > first else "coast-down"
+    if wanders(run):
+        what, first, last = "speed rises and falls", rpm(run.speed.min()), rpm(run.speed.max())
     return (
         f"{run.id}: {what}, {first:.5g} to {last:.5g} rpm, {counted(len(run.speed), 'row')} of {turns_text(run.turns)}"
     )
@@ -34,15 +36,22 @@ def turns_text(turns: int) -> str:
     return counted(turns, "turn")
 
 
-def peaks_text(run: OrderRun, channels: dict[str, OrderChannel]) -> str:
+def peaks_text(run: OrderRun, channels: Mapping[str, OrderChannel]) -> str:
     """Return the largest amplitude of each channel, as it is read off the curve."""
     lines = []
     for name, channel in channels.items():
-        peak, amplitude = largest_of(run, name)
         unit, factor = shown_unit(channel)
-        sides = [f"{rpm(side):.5g}" if np.isfinite(side) else "-" for side in (peak.lower, peak.upper)]
-        af = f"{peak.amplification:.3g}" if np.isfinite(peak.amplification) else "-"
-        lines.append([channel.label, f"{factor * amplitude:.4g} {unit}", f"{rpm(peak.speed):.5g}", *sides, af])
+        size = np.abs(run.vectors.get(name, np.empty(0)))
+        if not np.isfinite(size).any():
+            lines.append([channel.label, "not measured", *["-"] * 4])
+            continue
+        peak, amplitude = largest_of(run, name)
+        numbers = (rpm(peak.lower), rpm(peak.upper), peak.amplification)
+        sides = [
+            f"{value:.{digits}g}" if np.isfinite(value) else "-"
+            for value, digits in zip(numbers, (5, 5, 3), strict=True)
+        ]
+        lines.append([channel.label, f"{factor * amplitude:.4g} {unit}", f"{rpm(peak.speed):.5g}", *sides])
     return table(["as recorded", "largest, 0-peak", "at [rpm]", "N1", "N2", "AF"], lines)
 
 
@@ -58,15 +67,26 @@ def largest_of(run: OrderRun, name: str) -> tuple[Peak, float]:
     order = np.argsort(run.speed, kind="stable")
     size = np.abs(run.vectors[name])[order]
     at = int(np.nanargmax(size))
-    return peak_in(run.speed[order], size, at), float(size[at])
+    peak = peak_in(run.speed[order], size, at)
+    if wanders(run):  # up and down are two curves
+        peak = Peak(float(run.speed[order][at]), np.nan, np.nan)
+    return peak, float(size[at])
 
 
-def critical_text(found: CriticalSpeeds, channels: dict[str, OrderChannel], operating: Operating | None) -> str:
+def wanders(run: OrderRun) -> bool:
+    """Return whether the speed of a run both rises and falls, so that it is neither run-up nor coast-down."""
+    return bool(abs(run.speed[-1] - run.speed[0]) < ONE_WAY * np.ptp(run.speed))
+
+
+def critical_text(found: CriticalSpeeds, channels: Mapping[str, OrderChannel], operating: Operating | None) -> str:
     """Return the critical speeds of one order of a run."""
     head = f"{found.order}X: "
     if not found.found:
-        low, high = rpm(found.speed.min()), rpm(found.speed.max())
-        return head + f"no critical speed between {low:.5g} and {high:.5g} rpm"
+        between = f"between {rpm(found.speed.min()):.5g} and {rpm(found.speed.max()):.5g} rpm"
+        if found.explained:
+            return head + f"no critical speed {between}"
+        what = f"linear modes leave {found.excess:.3g} times the variance of the noise"
+        return head + f"no critical speed is told {between}: {what}"
     shown = [name for name in channels if name in found.found[0].vectors][:SHOWN_CHANNELS]
     operating = operating if found.order == 1 else None  # margins are of what unbalance drives
     columns = [f"{channels[name].name}" for name in shown]
@@ -82,7 +102,7 @@ def critical_text(found: CriticalSpeeds, channels: dict[str, OrderChannel], oper
         lines.append(cells + ([] if operating is None else margin_cells(one, operating)))
     header = [head + "N_c [rpm], 90 %", "AF, 90 %", "N1", "N2", "damping", "whirl", *columns, *margins]
     text = table(header, lines)
-    if found.excess > MUCH:
+    if not found.explained:
         text += f"\nthe modes leave {found.excess:.3g} times the variance of the noise: intervals are wider for it"
     return text
 
@@ -144,6 +164,7 @@ def _critical_data(found: CriticalSpeeds, operating: Operating | None) -> dict[s
         "run": found.run,
         "order": found.order,
         "excess_variance": found.excess,
+        "explained": found.explained,
         "slow_roll": {name: {"re": v.real, "im": v.imag} for name, v in found.slow_roll.items()},
         "found": [
             {

@@ -12,7 +12,8 @@ was of the machine. Each channel is a sum of all modes with complex factors of i
 constant (slow roll) and of the mains' pick-up, which the shaft overtakes; these enter linearly and are projected out
 (variable projection). As many modes are taken as the Bayesian information criterion asks for. Critical speed and
 amplification factor are then those of the settled response of each mode by itself
-(`rotorsim.signals.orders.resonance`). One that has no half-power speeds is no critical speed.
+(`rotorsim.signals.orders.resonance`). One that has no half-power speeds is no critical speed. Natural frequencies may
+follow the speed along straight lines, as gyroscopic moments make them, where that is very strong evidence, too.
 
 Source: API RP 684 (2005), SP6.8.2; `rotorsim.signals.orders.modal_fit`.
 """
@@ -20,18 +21,19 @@ Source: API RP 684 (2005), SP6.8.2; `rotorsim.signals.orders.modal_fit`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from rotorsim.criteria import Z90
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.orders import OrderChannel, OrderRun
-from rotorsim.signals.orders.modal_fit import ModalFit, PassedRun, covariance_of, with_one_more
-from rotorsim.signals.orders.resonance import Peak, peak_of
+from rotorsim.signals.orders.modal_fit import ModalFit, PassedRun, covariance_of, searched, with_one_more
+from rotorsim.signals.orders.resonance import Peak, peak_of, settled_response
 from rotorsim.signals.orders.rows import slowness
 
 MOST_MODES = 4
+MUCH = 2.0  # times the variance of the noise: beyond, a fit has something left to explain
 VERY_STRONG = 10.0  # by which the criterion must fall for one more mode: very strong evidence; Kass & Raftery (1995)
 
 
@@ -64,7 +66,7 @@ class CriticalSpeeds:
     """What the vectors of one order of a run say: critical speeds, rising; fitted and settled: channel -> (n,), SI.
 
     settled: the response that the same modes have at constant speeds, without slow roll. excess: variance of what is
-    left over that of noise between rows; above one, intervals are wider by its root.
+    left over that of noise between rows, by whose root intervals are wider or narrower.
     """
 
     run: str
@@ -76,48 +78,73 @@ class CriticalSpeeds:
     slow_roll: Mapping[str, complex] = field(default_factory=dict)
     excess: float = 1.0
 
+    @property
+    def explained(self) -> bool:
+        """Whether the modes leave little more than noise, so that none that was found means that none was passed."""
+        return self.excess <= MUCH
+
 
 def critical_speeds(run: OrderRun, channels: Mapping[str, OrderChannel], order: int = 1) -> CriticalSpeeds:
     """Return the critical speeds that a run has passed, from all of its channels of one order.
 
-    Raises RotorsimError where no channel has that order, or rows are missing so often that noise is not seen.
+    Channels with so many gaps that their noise is not seen are left out. Raises RotorsimError where none is left, or
+    no channel has that order.
     """
-    if not any(one.order == order and np.isfinite(run.vectors[name]).any() for name, one in channels.items()):
+    own = [run.vectors[name] for name, one in channels.items() if one.order == order and name in run.vectors]
+    if not any(np.isfinite(vectors).any() for vectors in own):
         raise RotorsimError(Problem(f"no channel of {order}X was measured", f"run {run.id}"))
     data = PassedRun.of(run, channels, order)
-    fit = ModalFit(data, np.zeros((0, 2)))
-    while len(fit.modes) < MOST_MODES:
-        trial = with_one_more(data, fit)
-        if trial.gain(fit) < VERY_STRONG or trial.has_twins:
+    return _said(run, channels, order, data, _chosen(data))
+
+
+def _chosen(data: PassedRun) -> ModalFit:
+    """Return the fit with as many modes as there is very strong evidence for, two at once where one explains nothing.
+
+    A fit that lacks a mode leaves what is slow from row to row, so that few rows count, and says little for itself.
+    """
+    fits = [ModalFit(data, np.zeros((0, 3)))]
+    while len(fits) <= MOST_MODES and float((fits[-1].residual ** 2).mean()) > data.least:
+        more = with_one_more(data, fits[-1])
+        if more.has_twins:
             break
-        fit = trial
-    return _said(run, channels, order, data, fit)
+        fits.append(more)
+    best = 0
+    while True:
+        better = [k for k in range(best + 1, len(fits)) if fits[k].gain(fits[best]) >= VERY_STRONG * (k - best)]
+        if not better:
+            break
+        best = better[0]
+    found = fits[best]
+    if best:
+        sloped = searched(data, found.modes, slopes=True)
+        if sloped.gain(found) >= VERY_STRONG * best and not sloped.has_twins:
+            return sloped
+    return found
 
 
 def _said(
     run: OrderRun, channels: Mapping[str, OrderChannel], order: int, data: PassedRun, fit: ModalFit
 ) -> CriticalSpeeds:
     """Return what a fit says, intervals by its Jacobian and what it leaves."""
-    excess = float(fit.residual @ fit.residual) / max(len(fit.residual) - fit.unknowns, 1)
-    variance = max(excess, 1.0) * slowness(fit.left)
+    variance = max(fit.excess, data.least) * slowness(fit.left)
     low, high = float(data.rows.min()), float(data.rows.max())
     covariance = covariance_of(data, fit) * variance if len(fit.modes) else np.zeros((0, 0))
     found: list[CriticalSpeed] = []
-    for j, (w, z) in enumerate(fit.modes):
-        peak = peak_of(w, z, order)
+    for j, (w, z, slope) in enumerate(fit.modes.tolist()):
+        peak = peak_of(w, z, order, slope)
         if not low <= peak.speed <= high or not np.isfinite(peak.amplification):
             continue
-        C = covariance[2 * j : 2 * j + 2, 2 * j : 2 * j + 2]
-        std = {name: float(np.sqrt(max(g @ C @ g, 0.0))) for name, g in _gradients(w, z, order).items()}
+        C = covariance[3 * j : 3 * j + 3, 3 * j : 3 * j + 3]
+        std = {name: float(np.sqrt(max(g @ C @ g, 0.0))) for name, g in _gradients(w, z, order, slope).items()}
         if std["amplification"] * Z90 > peak.amplification:
             continue
-        own = replace(data, rows=np.array([peak.speed])).settled_mode(w, z)[0] * fit.factors[j] * data.noise
+        own = settled_response(np.array([peak.speed]), w, z, order, slope)[0] * fit.factors[j] * data.noise
         vectors = dict(zip(data.names, own.tolist(), strict=True))
-        found.append(CriticalSpeed(float(w), float(z), peak, std, vectors, _whirl(vectors, channels)))
-    whole = np.zeros((len(data.rows), len(data.names)), complex)
-    for (w, z), factors in zip(fit.modes, fit.factors, strict=False):
-        whole += np.outer(data.settled_mode(w, z), factors)
-    whole += data.far(data.rows) @ fit.factors[-2:]
+        whirl = run.sense * _whirl(vectors, channels)
+        found.append(CriticalSpeed(w, z, peak, std, vectors, whirl))
+    whole = data.far(data.rows) @ fit.factors[-2:]
+    for mode, factors in zip(fit.modes.tolist(), fit.factors, strict=False):
+        whole = whole + np.outer(data.settled_mode(*mode), factors)
     place = len(fit.modes)
     return CriticalSpeeds(
         run.id,
@@ -127,7 +154,7 @@ def _said(
         dict(zip(data.names, (fit.columns @ fit.factors * data.noise).T, strict=True)),
         dict(zip(data.names, (whole * data.noise).T, strict=True)),
         {name: complex(fit.factors[place, c] * data.noise[c]) for c, name in enumerate(data.names)},
-        excess,
+        fit.excess,
     )
 
 
@@ -143,20 +170,16 @@ def _whirl(vectors: Mapping[str, complex], channels: Mapping[str, OrderChannel])
     return float(np.mean(parts)) if parts else float("nan")
 
 
-def _gradients(w: float, z: float, order: int) -> dict[str, np.ndarray]:
-    """Return the derivatives of what is said of a mode by w and z."""
+def _gradients(w: float, z: float, order: int, slope: float) -> dict[str, np.ndarray]:
+    """Return the derivatives of what is said of a mode by w, z and slope."""
 
-    def told(w: float, z: float) -> np.ndarray:
-        peak = peak_of(w, z, order)
-        return np.array([peak.speed, peak.amplification])
+    def told(at: np.ndarray) -> np.ndarray:
+        peak = peak_of(at[0], at[1], order, at[2] if slope else 0.0)
+        return np.array([at[0], at[1], peak.speed, peak.amplification])
 
-    by_w = np.array([1 / w, 0.0])
-    step = 1e-5 * z
-    by_z = (told(w, z + step) - told(w, z - step)) / (2 * step)
-    here = told(w, z)
-    return {
-        "frequency": np.array([1.0, 0.0]),
-        "damping": np.array([0.0, 1.0]),
-        "speed": np.array([here[0] * by_w[0], by_z[0]]),
-        "amplification": np.array([0.0, by_z[1]]),
-    }
+    here = np.array([w, z, slope])
+    columns = [
+        (told(here + step * unit) - told(here - step * unit)) / (2 * step)
+        for step, unit in zip((1e-4 * w * z, 1e-4 * z, 1e-4), np.eye(3), strict=True)
+    ]
+    return dict(zip(("frequency", "damping", "speed", "amplification"), np.stack(columns, axis=1), strict=True))

@@ -19,6 +19,7 @@ from rotorsim.signals.turning import turning
 ORDERS_BESIDE = 8  # further orders that are fitted along, so that they do not leak into those wanted
 SAMPLES_OF_UNKNOWN = 1.5  # of a row, for each of its unknowns
 LEAK_PASSES = 6  # of what leaks, each leaves half or less
+CHANGES = 0.1  # of the highest speed, from which a run is no steady one, whatever its speed in the end
 TURN_ROUNDING = 1e-9  # of a turn
 _TURN = 2 * pi
 
@@ -40,8 +41,8 @@ def tracked_recording(
     y = sum_k Re Y_k exp(i k theta), with the orders wanted and others beside them, by least squares row by row. What
     grows within a turn leaks into other orders: envelopes are therefore smooth curves through the rows, and what they
     leave is taken row by row once more. Y_k is the mean of the envelope over the row, 0-peak, its phase a lead against
-    the mark. 1X is always tracked: it tells what may leak into others. runs: those that are wanted (default: all that
-    are run-ups or coast-downs).
+    the mark, the shaft's own way round. 1X is always tracked: it tells what may leak into others. runs: those that are
+    wanted (default: all that are run-ups or coast-downs).
     Raises RotorsimError for runs at one speed, of which nothing tells the angle, or with too few samples a turn.
     Source: A. Brandt, Noise and Vibration Analysis (2011), ch. 12 (order tracking).
     """
@@ -60,7 +61,9 @@ def tracked_recording(
         try:
             shaft = turning(recording, run)
             good = np.isfinite(shaft.theta)
-            if not run_up_in_words(run.time[good], shaft.theta[good]):
+            speed = np.abs(shaft.speed[good])
+            changes = np.ptp(speed) > CHANGES * speed.max() or run_up_in_words(run.time[good], shaft.theta[good])
+            if not changes:
                 if wanted:
                     hint = "rotorsim spectrum shows the harmonics of a run at one speed"
                     problems.append(Problem("its speed does not change", f"run {run.id}", run.place, hint))
@@ -105,24 +108,22 @@ def _tracked(
     columns = [column for column in columns if column in run.values]
     y = np.stack([run.values[column][known][part] for column in columns], axis=1)
     fitted = min(max(orders) + ORDERS_BESIDE, most)
-    means = _row_means(theta[known][part], turned[part], y, edges - edges[0], marks, fitted)
+    means = _row_means(turned[part], y, edges - edges[0], marks, fitted)
     named = {f"{column} {order}X": means[:, order, c] for c, column in enumerate(columns) for order in orders}
     middles = (ends[1:] + ends[:-1]) / 2
-    own = OrderRun(run.id, run.file, speed, named, middles, turns, run.settings, run.use, run.place)
+    own = OrderRun(run.id, run.file, speed, named, middles, turns, run.settings, run.use, run.place, int(sign))
     return own, Positions(run.id, speed, {column: means[:, 0, c].real for c, column in enumerate(columns)})
 
 
-def _row_means(
-    theta: np.ndarray, turned: np.ndarray, y: np.ndarray, edges: np.ndarray, marks: np.ndarray, highest: int
-) -> np.ndarray:
+def _row_means(turned: np.ndarray, y: np.ndarray, edges: np.ndarray, marks: np.ndarray, highest: int) -> np.ndarray:
     """Return the means of the envelopes of orders 0 to ``highest`` over each row, (n, highest + 1, c) complex.
 
-    y (N, c) at theta (N,), rows from ``edges`` (n + 1,). NaN where a row of a channel lacks a sample.
+    y (N, c) at angles (N,), rows from ``edges`` (n + 1,). NaN where a row of a channel lacks a sample.
     """
     n, c = len(marks) - 1, y.shape[1]
     lost = np.add.reduceat(~np.isfinite(y), edges[:-1]) > 0
     e = np.where(np.isfinite(y), y, 0.0)
-    waves = np.exp(1j * theta[:, None] * np.arange(highest + 1))
+    waves = np.exp(1j * turned[:, None] * np.arange(highest + 1))
     middles = (marks[1:] + marks[:-1]) / 2
     inverses = []
     for a, b in pairwise(edges):

@@ -5,7 +5,10 @@ Order k of the displacement of a mode of natural frequency w and damping ratio z
 |X|^2 ~ r^4 / ((1 - r^2)^2 + (2 z r)^2)   of 1X, which unbalance drives;   |X|^2 ~ 1 / (...)   of others
 
 The critical speed N_c is that of the largest amplitude, N_1 and N_2 those at which it is 1 / sqrt(2) of that, and
-AF = N_c / (N_2 - N_1). Source: API RP 684 (2005), SP6.8.2.1 and SP6.8.2.10; API 617 (8th ed., 2014), 6.8.2.5.
+AF = N_c / (N_2 - N_1). A natural frequency that follows the speed (gyroscopic moments), w + b (k W - w), stretches the
+peak: what is said of it is read off its own curve.
+
+Source: API RP 684 (2005), SP6.8.2.1 and SP6.8.2.10; API 617 (8th ed., 2014), 6.8.2.5.
 """
 
 from __future__ import annotations
@@ -14,10 +17,13 @@ from dataclasses import dataclass
 from math import isfinite, sqrt
 
 import numpy as np
+from scipy.optimize import brentq, minimize_scalar
 
 RESPONSIVE = 2.5  # AF from which a separation margin is needed
 MOST_BELOW, MOST_ABOVE = 16.0, 26.0  # %: largest margins that are required
 HALF_POWER = 1 / sqrt(2)
+REACH, GRID = 6.0, 60  # half widths to each side of a peak, and places there, between which it is looked for
+FINE = {"xatol": 1e-9}
 
 
 @dataclass(frozen=True)
@@ -34,8 +40,20 @@ class Peak:
         return self.speed / (self.upper - self.lower)
 
 
-def peak_of(frequency: float, damping: float, order: int = 1) -> Peak:
+def settled_response(speed: np.ndarray, frequency: float, damping: float, order: int, slope: float) -> np.ndarray:
+    """Return the settled response of one mode at speeds (n,) [rad/s], complex: g / (w^2 - k^2 W^2 + 2 i z w k W).
+
+    g is W^2 of 1X and one of other orders; slope: b, the natural frequency is w + b (k W - w).
+    """
+    turning = order * speed
+    own = frequency + slope * (turning - frequency)
+    return np.asarray((speed**2 if order == 1 else 1.0) / (own**2 - turning**2 + 2j * damping * own * turning))
+
+
+def peak_of(frequency: float, damping: float, order: int = 1, slope: float = 0.0) -> Peak:
     """Return the peak of order k of one mode, w [rad/s], z > 0; all NaN where it is damped beyond any peak."""
+    if slope:
+        return _peak_on(frequency, damping, order, slope)
     z2 = damping**2
     if 2 * z2 >= 1:
         return Peak(np.nan, np.nan, np.nan)
@@ -52,11 +70,35 @@ def peak_of(frequency: float, damping: float, order: int = 1) -> Peak:
     return Peak(*(frequency / order * r for r in (sqrt(top), lower, upper)))
 
 
+def _peak_on(frequency: float, damping: float, order: int, slope: float) -> Peak:
+    """Return the peak of a mode whose natural frequency follows the speed, by search on its curve."""
+
+    def size(speed: float) -> float:
+        return float(np.abs(settled_response(np.array([speed]), frequency, damping, order, slope))[0])
+
+    width = damping / (1 - slope)
+    middle = frequency / order
+    grid = middle * (1 + width * np.linspace(-REACH, REACH, 2 * GRID + 1))
+    grid = grid[grid > 0]
+    at = int(np.argmax([size(speed) for speed in grid]))
+    if at in (0, len(grid) - 1):
+        return Peak(np.nan, np.nan, np.nan)
+    top = minimize_scalar(lambda v: -size(v), bounds=(grid[at - 1], grid[at + 1]), method="bounded", options=FINE).x
+    wanted = size(top) * HALF_POWER
+    sides = []
+    for side in (grid[:at][::-1], grid[at + 1 :]):
+        below = next((speed for speed in side if size(speed) < wanted), None)
+        sides.append(np.nan if below is None else float(brentq(lambda v: size(v) - wanted, below, top)))
+    return Peak(float(top), sides[0], sides[1])
+
+
 def peak_in(speed: np.ndarray, size: np.ndarray, at: int) -> Peak:
     """Return the peak of a curve |X| (n,) over rising speeds (n,) [rad/s] at one of its largest places, as it is read.
 
     N_1 and N_2 are where the curve crosses 1 / sqrt(2) of its largest value, between two rows along a straight line.
     """
+    if not size[at] > 0:
+        return Peak(float("nan"), float("nan"), float("nan"))
     wanted = size[at] * HALF_POWER
 
     def crossing(step: int) -> float:

@@ -58,13 +58,33 @@ def run_up(
 
     found = solve_ivp(rates, (0.0, time[-1]), np.zeros(4 * len(modes)), "DOP853", time, rtol=1e-9, atol=1e-14)
     x, y = (found.y[axis : 2 * len(modes) : 2].sum(axis=0) for axis in (0, 1))
-    rng = np.random.default_rng(seed)
     turning = (slow_roll * np.exp(1j * angle(time))).real
     mains = hum * np.sin(2 * np.pi * 50.0 * time + 0.4)
+    return _recorded(time, angle(time), x + turning + mains, y + mains, noise, seed)
+
+
+def gyroscopic_run_up(
+    w: float, z: float, gyro: float, eccentricity: float, first: float, last: float, duration: float, noise: float
+) -> Recording:
+    """Return a run of one mode with gyroscopic moments: q'' + (2 z w - i W gyro) q' + w^2 q = e (W^2 - i W') e^it."""
+    a = (last - first) / duration
+    time = np.arange(int(duration * RATE)) / RATE
+
+    def rates(t, q):
+        speed = first + a * t
+        force = eccentricity * (speed**2 - 1j * a) * np.exp(1j * (first * t + a * t**2 / 2))
+        return np.array([q[1], force - (2 * z * w - 1j * speed * gyro) * q[1] - w**2 * q[0]])
+
+    found = solve_ivp(rates, (0.0, time[-1]), np.zeros(2, complex), "DOP853", time, rtol=1e-9, atol=1e-14)
+    return _recorded(time, first * time + a * time**2 / 2, found.y[0].real, found.y[0].imag, noise, 0)
+
+
+def _recorded(time, angle, x, y, noise, seed) -> Recording:
+    rng = np.random.default_rng(seed)
     values = {
-        "x": x + turning + mains + noise * rng.standard_normal(len(time)),
-        "y": y + mains + noise * rng.standard_normal(len(time)),
-        "angle": angle(time),
+        "x": x + noise * rng.standard_normal(len(time)),
+        "y": y + noise * rng.standard_normal(len(time)),
+        "angle": angle,
     }
     channels = {
         "x": Channel("x", "rotor.displacement", "x", None, None, "m"),

@@ -10,7 +10,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.signals.orders.critical_speeds import critical_speeds
 from rotorsim.signals.orders.extraction import tracked_recording
 from rotorsim.signals.orders.resonance import peak_in, peak_of
-from tests.signals.orders.machine import Mode, run_up
+from tests.signals.orders.machine import Mode, gyroscopic_run_up, run_up
 
 NOISE = 2e-8  # m
 E = 2e-5  # m, eccentricity
@@ -61,9 +61,39 @@ def test_planes_of_different_stiffness_are_two_critical_speeds_and_whirl_is_plan
     assert [abs(one.whirl) < 0.05 for one in found.found] == [True, True]
 
 
+def test_planes_are_both_found_where_one_mode_alone_explains_next_to_nothing():
+    modes = [Mode(300.0, 0.03, x=E), Mode(330.0, 0.03, y=-1j * E)]
+    found, _ = _found(run_up(modes, 100.0, 500.0, 4.0, noise=3e-7))
+    assert [one.frequency for one in found.found] == pytest.approx([300.0, 330.0], rel=5e-4)
+
+
+def test_three_modes_that_are_passed_quickly_are_all_found():
+    modes = [Mode(w, 0.03, E, -1j * E) for w in (200.0, 350.0, 550.0)]
+    found, _ = _found(run_up(modes, 100.0, 700.0, 4.0, noise=3e-7))
+    assert [one.frequency for one in found.found] == pytest.approx([200.0, 350.0, 550.0], rel=1e-3)
+
+
+def test_a_natural_frequency_that_follows_the_speed_is_met_where_they_are_equal():
+    """A disc with gyroscopic moments: m q'' + (c - i W g) q' + k q = e g(t), its settled peak by a fine grid."""
+    speed, gyro = np.linspace(250.0, 360.0, 200_001), 0.3
+    settled = np.abs(speed**2 / (250.0**2 - speed**2 + gyro * speed**2 + 2j * 0.03 * 250.0 * speed))
+    truth = peak_in(speed, settled, int(settled.argmax()))
+    found, _ = _found(gyroscopic_run_up(250.0, 0.03, gyro, E, 100.0, 500.0, 6.0, noise=3e-7))
+    [one] = found.found
+    assert one.peak.speed == pytest.approx(truth.speed, rel=3e-4)  # 0.5 % without: the ringing is of another frequency
+    assert one.peak.amplification == pytest.approx(truth.amplification, rel=5e-3)
+    assert found.explained
+
+
 def test_backward_whirl_is_said():
-    found, _ = _found(run_up([Mode(300.0, 0.04, E, 1j * E)], 60.0, 500.0, 5.0, noise=NOISE))
+    recording = run_up([Mode(300.0, 0.04, E, 1j * E)], 60.0, 500.0, 5.0, noise=NOISE)
+    found, _ = _found(recording)
     assert found.found[0].whirl == pytest.approx(-1.0, abs=0.01)
+    run = recording.runs[0]
+    other = replace(recording, runs=(replace(run, values={**run.values, "angle": -run.values["angle"]}),))
+    again, _ = _found(other)  # a shaft that turns from y to x: the same motion is forward
+    assert again.found[0].whirl == pytest.approx(1.0, abs=0.01)
+    assert again.found[0].peak.speed == pytest.approx(found.found[0].peak.speed, rel=1e-9)
 
 
 def test_a_second_order_meets_the_mode_at_half_the_speed():
@@ -113,6 +143,47 @@ def test_what_was_not_measured_is_refused():
     vectors = {name: np.where(np.arange(len(v)) % 5, v, np.nan) for name, v in orders.runs[0].vectors.items()}
     with pytest.raises(RotorsimError, match="too many rows are missing to tell noise from motion"):
         critical_speeds(replace(orders.runs[0], vectors=vectors), orders.channels)
+    hurried = replace(orders.runs[0], time=orders.runs[0].time / 1000)
+    with pytest.raises(RotorsimError, match="run up: times and speeds contradict each other"):
+        critical_speeds(hurried, orders.channels)
+
+
+def test_a_channel_that_a_run_lacks_or_that_is_full_of_gaps_is_left_out():
+    orders = usual()[1]
+    run, whole = orders.runs[0], orders.runs[0].vectors
+    gappy = np.where(np.arange(len(run.speed)) % 5, whole["x 1X"], np.nan)
+    for vectors in ({"y 1X": whole["y 1X"]}, {**whole, "x 1X": gappy}, {**whole, "x 1X": np.full_like(gappy, np.nan)}):
+        found = critical_speeds(replace(run, vectors=vectors), orders.channels)
+        assert found.found[0].peak.speed == pytest.approx(peak_of(300.0, 0.03).speed, rel=5e-4)
+        assert set(found.fitted) == {"y 1X"}
+
+
+def test_few_rows_over_a_peak_are_enough():
+    orders = usual()[1]
+    run, some = orders.runs[0], slice(None, None, 8)
+    few = replace(run, speed=run.speed[some], time=run.time[some], vectors={k: v[some] for k, v in run.vectors.items()})
+    found = critical_speeds(few, orders.channels)
+    assert len(few.speed) < 30
+    assert found.found[0].peak.speed == pytest.approx(peak_of(300.0, 0.03).speed, rel=1e-3)
+
+
+def test_a_slow_run_of_many_turns_is_taken_as_settled():
+    speed = np.linspace(100.0, 500.0, 300)
+    vectors = {"x 1X": E * speed**2 / (300.0**2 - speed**2 + 2j * 0.03 * 300.0 * speed)}
+    rng = np.random.default_rng(3)
+    vectors["x 1X"] = vectors["x 1X"] + 1e-7 * (rng.standard_normal(300) + 1j * rng.standard_normal(300))
+    orders = usual()[1]
+    slow = replace(orders.runs[0], speed=speed, time=20.0 * np.arange(300), vectors=vectors)
+    found = critical_speeds(slow, {"x 1X": orders.channels["x 1X"]})
+    assert found.found[0].peak.speed == pytest.approx(peak_of(300.0, 0.03).speed, rel=5e-4)
+
+
+def test_what_linear_modes_do_not_explain_is_said_to_be_so():
+    orders = usual()[1]
+    run = orders.runs[0]
+    odd = 1e-5 * (1 + 0.3 * np.sin(run.speed / 6)) + 1e-5j * np.cos(run.speed / 8)
+    found = critical_speeds(replace(run, vectors={"x 1X": odd, "y 1X": -1j * odd}), orders.channels)
+    assert not found.explained
 
 
 @pytest.mark.slow
