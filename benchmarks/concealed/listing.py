@@ -10,6 +10,7 @@ from benchmarks.concealed.detect import detectability
 from benchmarks.concealed.faults import OUTSIDE, ROWS, Entry, Fault
 from benchmarks.concealed.measuring import Instruments
 from benchmarks.concealed.simulate import Motion, Run, Simulation
+from benchmarks.concealed.sites import WORDS
 
 TYPICAL = Instruments((2e-8, 3e-4), (1e-4, 1.0), 16, 1e-6)
 
@@ -34,16 +35,13 @@ def listing(visible: bool) -> str:
     scenes = {machine: scene(machine) for machine in ("jeffcott", "fe_rigid")}
     lines = ["| row or law | nodes | equation | sizes (SI) | D |", "|---|---|---|---|---|"]
     for name, entry in (ROWS | OUTSIDE).items():
-        machine = "jeffcott" if "jeffcott" in entry.nodes else "fe_rigid"
+        machine = "jeffcott" if entry.jeffcott else "fe_rigid"
         parameters, runs, healthy, peaks = scenes[machine]
         ends = [drawn(name, machine, strength, parameters, peaks, len(runs)) for strength in (0.0, 1.0)]
         found = [_visible(machine, fault, healthy, parameters, runs) for fault in ends] if visible else []
-        places = "; ".join(
-            "Jeffcott" if where == "jeffcott" else "beam " + ", ".join(map(str, nodes))
-            for where, nodes in entry.nodes.items()
-        )
+        places = ["Jeffcott"] * entry.jeffcott + [f"beam: {WORDS[site]}" for site in (entry.beam,) if site]
         D = " to ".join(found) or "-"
-        lines.append(f"| `{name}` | {places} | {_law(entry)} | {_sizes(*ends)} | {D} |")
+        lines.append(f"| `{name}` | {'; '.join(places)} | {_law(entry)} | {_sizes(*ends)} | {D} |")
     return "\n".join(lines)
 
 
