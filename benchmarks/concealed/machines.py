@@ -221,6 +221,11 @@ MACHINES: dict[str, Callable[..., Plant]] = {
 }
 
 
+def nominal_parameters(machine: str) -> Parameters:
+    """Return the nominal numbers of a machine, all angles zero."""
+    return {name: value or 0.0 for name, value in DRAWN[machine].items()}
+
+
 def nominal(machine: str) -> Plant:
-    """Return a machine with nominal numbers, all angles zero, and the gains of the diagram."""
-    return MACHINES[machine]({name: value or 0.0 for name, value in DRAWN[machine].items()}, GAINS[machine])
+    """Return a machine with nominal numbers and the gains of the diagram."""
+    return MACHINES[machine](nominal_parameters(machine), GAINS[machine])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,16 @@ import pytest
 from scipy.integrate import solve_ivp
 from threadpoolctl import threadpool_limits
 
-from benchmarks.concealed import generator, machines
+from benchmarks.concealed import generator, machines, score, sets
 from benchmarks.concealed.check import drawn, scene
 from benchmarks.concealed.core import Core
 from benchmarks.concealed.healthy import ORDERS, Healthy
-from benchmarks.concealed.machines import FREE, MACHINES, nominal
+from benchmarks.concealed.machines import FREE, MACHINES, nominal, nominal_parameters
 from benchmarks.concealed.plant import Plant
 from benchmarks.concealed.simulate import Run, Simulation
+from benchmarks.concealed.sites import SITES
+from benchmarks.concealed.writing import write_case
+from rotorsim.recordings.loading import load_recording
 from rotorsim.settled.periodic import periodic
 from tests.systems.shipped import document, load_document
 
@@ -81,6 +85,59 @@ def test_healthy_machine_is_its_diagram(
 @pytest.mark.parametrize("machine", BEAMS)
 def test_free_parameters_are_those_of_the_diagram(machine: str) -> None:
     assert [free.name for free in load_document(document(machine)).free] == list(FREE[machine])
+
+
+def test_rows_are_placed_by_what_is_at_a_node() -> None:
+    assert SITES["two_amb_rotor"] == {
+        "probe": (3, 4, 5, 6, 7),
+        "bearing": (2, 8),
+        "off bearing": (4, 5, 6),
+        "disc": (4, 6),
+        "off disc": (3, 5, 7),
+        "crack": (5,),
+        "off crack": (3, 4, 6, 7),
+        "machine": (2,),
+    }
+    for entry in (generator.ROWS | generator.OUTSIDE).values():
+        assert all(bool(entry.nodes(machine)) == bool(entry.beam) for machine in ("fe_rigid", *BEAMS))
+
+
+@pytest.mark.parametrize(
+    ("name", "node", "blocks"), [("control_delay", 7, ["controller_b"]), ("amb_cross_coupling", 8, ["amb_b"])]
+)
+def test_a_row_of_a_bearing_is_that_of_the_bearing_at_its_node(name: str, node: int, blocks: list[str]) -> None:
+    fault = drawn(name, "two_amb_rotor", 0.5, nominal_parameters("two_amb_rotor"), {}, 1, 8)
+    assert (fault.node, list(fault.blocks)) == (node, blocks)
+    assert fault.reads == (("i2",) if name == "amb_cross_coupling" else ())
+    plant = nominal("two_amb_rotor")
+    if fault.alter:
+        fault.alter(plant, 100.0)
+        assert [len(bearing.path.poles) for bearing in plant.bearings] == [0, 8]
+
+
+def test_recordings_have_both_controllers(tmp_path: Path) -> None:
+    write_case(generator.make_case("c", "nothing", "two_amb_rotor", (1, 0), 0), tmp_path, (1, 0))
+    recording = load_recording(tmp_path / "c")
+    signals = {channel.signal for channel in recording.channels.values()}
+    assert signals == {"rotor.displacement", "controller_a.current", "controller_b.current"}
+    gains = recording.runs[-1].settings
+    assert set(gains) == {f"controller_{end}.{gain}" for end in "ab" for gain in ("KP", "KI", "KD")}
+    assert gains["controller_a.KD"] != gains["controller_b.KD"]
+
+
+def test_free_parameters_are_scored_by_the_names_of_the_diagram() -> None:
+    numbers = {"unbalance_phase2": 3.1, "support_left.stiffness[1]": 4e8, "crack_stiffness": 3e5}
+    truth = {"case": "a", "kind": "nothing", "machine": "fe_flexible", "missing": [], "parameters": numbers}
+    after = {name: {"value": value} for name, value in numbers.items()} | {"unbalance_phase2": {"value": -3.1}}
+    found = {"verdict": "consistent", "parameters": {"after": after}}
+    errors = {item["name"]: item["error"] for item in score.judge({**truth, "class": {}, "nodes": {}}, found)["free"]}
+    assert errors == pytest.approx({**dict.fromkeys(numbers, 0.0), "unbalance_phase2": 2 * np.pi - 6.2})
+
+
+def test_beams_are_made_in_turn() -> None:
+    jobs = sets.plan(Path("x"), 4, 1, "nothing", "beams", ())
+    assert [job[2] for job in jobs] == ["fe_rigid", "fe_flexible", "two_amb_rotor", "fe_rigid"]
+    assert [job[4][1:] for job in jobs] == [(1, 0, 0), (2, 0, 0), (3, 0, 0), (1, 0, 1)]
 
 
 @pytest.mark.parametrize("machine", ["fe_rigid", *BEAMS])
