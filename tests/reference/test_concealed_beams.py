@@ -16,8 +16,10 @@ from threadpoolctl import threadpool_limits
 from benchmarks.concealed import generator, machines, score, sets
 from benchmarks.concealed.check import drawn, scene
 from benchmarks.concealed.core import Core
+from benchmarks.concealed.detect import detectability
 from benchmarks.concealed.healthy import ORDERS, Healthy
 from benchmarks.concealed.machines import FREE, MACHINES, nominal, nominal_parameters
+from benchmarks.concealed.measuring import Instruments
 from benchmarks.concealed.plant import Plant
 from benchmarks.concealed.simulate import Run, Simulation
 from benchmarks.concealed.sites import SITES
@@ -155,6 +157,20 @@ def test_condensed_motion_is_the_settled_motion_at_other_parameters(machine: str
     scale = np.abs(expected).max(axis=-1, keepdims=True)
     assert (np.abs(condensed[..., :-1] - expected) / scale).max() < 1e-7
     assert (np.abs(condensed[..., -1]) / scale[..., 0]).max() < 1e-12  # the mean has come to rest
+
+
+@pytest.mark.parametrize(
+    ("machine", "name"), [("fe_flexible", "force_displacement_factor"), ("two_amb_rotor", "force_current_factor_b")]
+)
+def test_other_values_of_free_parameters_leave_no_trace(machine: str, name: str) -> None:
+    rng = np.random.default_rng(6)
+    parameters, runs = generator.draw_parameters(rng, machine), generator.draw_runs(rng, machine)[::3]
+    healthy, other = (
+        Simulation(machine, parameters | {name: factor * parameters[name]}, runs, generator.RATE).run()
+        for factor in (1.0, 1.25)
+    )
+    instruments = Instruments((1e-9, 1e-5), (1e-4, 1.0), 18, 1e-6)
+    assert detectability(machine, parameters, runs, np.inf, healthy, other, instruments, 0.0) < 0.1
 
 
 @pytest.mark.parametrize("machine", BEAMS)
