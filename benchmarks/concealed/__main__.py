@@ -118,7 +118,8 @@ def main(arguments: list[str] | None = None) -> int:
     make.add_argument("--instances", type=int, default=100)
     make.add_argument("--seed", type=int, default=0)
     make.add_argument("--kind", default="mixed", choices=["mixed", "nothing", "one", "two", "alias", "outside"])
-    make.add_argument("--machine", default="both", choices=["both", "jeffcott", "fe_rigid"])
+    machines = ["both", "beams", "jeffcott", "fe_rigid", "fe_flexible", "two_amb_rotor"]
+    make.add_argument("--machine", default="both", choices=machines, help="beams: the last three in turn")
     make.add_argument("--rows", default="", help="only these rows or laws, by commas")
     make.add_argument("--nuisances", default="", help="defects of the measuring chain, by commas, or all")
     make.add_argument("--processes", type=int, default=2)

@@ -1,24 +1,23 @@
-"""What a fault is, and how its size is drawn. The rows are in mechanical.py, loop.py and outside.py."""
+"""What a fault is, and how its size is drawn. The rows are in mechanical.py, loop.py, sensors.py and outside.py."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.concealed.integrator import Nodes
-from benchmarks.concealed.plant import Plant
+from benchmarks.concealed.plant import Bearing, Plant
 from benchmarks.concealed.simulate import Clock
+from benchmarks.concealed.sites import SITES
 
 Array = NDArray[Any]
 Inputs = dict[str, Array | complex]
 
 ROTOR = ("rotor",)
-AMB = ("amb",)
-CONTROLLER = ("controller",)
 
 
 @dataclass(frozen=True)
@@ -58,11 +57,10 @@ class Draw:
     machine: str
     node: int
     parameters: dict[str, float]
-    peaks: dict[str, float]  # `z3`, `i`: in the runs to identify; `all z3`: in every run
+    peaks: dict[str, float]  # `z3`, `i`, `i2`: in the runs to identify; `all z3`: in every run
     strength: float  # 0: just visible, 1: plain
     lanes: int
-    amb: int = 1
-    stiffness: dict[int, float] = field(default_factory=dict)  # static, of the shaft at each node
+    plant: Plant  # healthy, with the gains of the diagram
 
     def size(self, low: float, high: float) -> float:
         """Return low (high / low)^strength."""
@@ -90,6 +88,31 @@ class Draw:
         return f"f{self.node}", f"z{self.node}", f"v{self.node}"
 
     @property
+    def bearing(self) -> Bearing:
+        """The bearing at the node."""
+        return next(bearing for bearing in self.plant.bearings if bearing.node == self.node)
+
+    @property
+    def follower(self) -> Bearing | None:
+        """The bearing whose controller follows the probe at the node."""
+        return next((bearing for bearing in self.plant.bearings if bearing.probe == self.node), None)
+
+    @property
+    def loop_node(self) -> int | None:
+        """The node of bearing and controller, None where these are at different ones."""
+        return self.node if self.bearing.probe == self.node else None
+
+    @property
+    def unbalances(self) -> tuple[str, ...]:
+        """Blocks of the unbalances."""
+        return tuple(unbalance.block for unbalance in self.plant.unbalances)
+
+    @property
+    def stiffness(self) -> float:
+        """Static stiffness of the shaft at the node."""
+        return 1 / self.plant.flexibility(self.node)
+
+    @property
     def phases(self) -> Array:
         """An angle for each run, as (L, 1, 1): what is not tied to the shaft begins anywhere."""
         return self.rng.uniform(-np.pi, np.pi, self.lanes)[:, None, None]
@@ -100,9 +123,16 @@ class Entry:
     """A row as it may be drawn."""
 
     make: Callable[[Draw], Fault]
-    nodes: dict[str, tuple[int, ...]]  # machine -> where it can be
+    beam: str  # site on a beam
+    jeffcott: bool
     group: str  # two rows of one group are not drawn together
     alone: bool = False  # not drawn with another row
+
+    def nodes(self, machine: str) -> tuple[int, ...]:
+        """Return where it can be on a machine."""
+        if machine == "jeffcott":
+            return (1,) if self.jeffcott else ()
+        return SITES[machine][self.beam] if self.beam else ()
 
 
 ROWS: dict[str, Entry] = {}
@@ -111,13 +141,12 @@ OUTSIDE: dict[str, Entry] = {}
 
 
 def row(
-    table: dict[str, Entry], name: str, group: str, jeffcott: bool = True, fe: tuple[int, ...] = (), alone: bool = False
+    table: dict[str, Entry], name: str, group: str, beam: str = "", jeffcott: bool = True, alone: bool = False
 ) -> Callable[[Callable[[Draw], Fault]], Callable[[Draw], Fault]]:
-    """Enter a function that draws a fault."""
+    """Enter a function that draws a fault; beam: the site on machines that have several nodes, none without it."""
 
     def enter(make: Callable[[Draw], Fault]) -> Callable[[Draw], Fault]:
-        nodes = ({"jeffcott": (1,)} if jeffcott else {}) | ({"fe_rigid": fe} if fe else {})
-        table[name] = Entry(make, nodes, group, alone)
+        table[name] = Entry(make, beam, jeffcott, group, alone)
         return make
 
     return enter

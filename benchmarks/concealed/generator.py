@@ -7,25 +7,27 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.concealed import loop, mechanical, outside
+from benchmarks.concealed import loop, mechanical, outside, sensors
 from benchmarks.concealed.detect import detectability
 from benchmarks.concealed.faults import ALIASES, OUTSIDE, ROWS, Draw, Entry, Fault
+from benchmarks.concealed.machines import DRAWN, GAINS, MACHINES, PLAIN
 from benchmarks.concealed.measuring import Instruments, draw_instruments
-from benchmarks.concealed.plant import MACHINES, NOMINAL
+from benchmarks.concealed.plant import Gains
 from benchmarks.concealed.simulate import Motion, Run, Simulation
 
-_ = (loop, mechanical, outside)  # they enter their rows
+_ = (loop, mechanical, outside, sensors)  # they enter their rows
 
 RATE = 5000.0
 KINDS = ("nothing", "one", "two", "alias", "outside")
 MIX = (0.15, 0.50, 0.12, 0.08, 0.15)
-LEAST = {"jeffcott": 10.0, "fe_rigid": 15.0}  # detectability below which a fault is drawn again, larger
+LEAST, LEAST_BEAM = 10.0, 15.0  # detectability below which a fault is drawn again, larger
 LIMIT = 4e-4  # m: a machine that moves more is drawn again
 
-A = (12200.0, 2000.0, 3.0)
 SPEEDS = {  # Hz: with gains A, with gains B; held out with gains A, with gains C
     "jeffcott": ((2, 15, 20, 25, 30, 40, 55, 70), (25, 55), (35, 85, 100), (45, 80)),
     "fe_rigid": ((2, 15, 20, 25, 33, 46, 58), (25, 55), (38, 66, 120), (48, 70)),
+    "fe_flexible": ((2, 15, 20, 25, 33, 46, 58), (25, 55), (38, 66, 120), (48, 70)),
+    "two_amb_rotor": ((2, 12, 18, 25, 34, 44, 62), (25, 58), (30, 75, 110), (40, 68)),
 }
 
 
@@ -53,7 +55,7 @@ class Case:
     def truth(self) -> dict[str, Any]:
         """Return the truth as the shared sets write it, and what else helps to score."""
         missing = [fault.physics for fault in self.faults]
-        nodes = [fault.node for fault in self.faults if self.machine == "fe_rigid"]
+        nodes = [fault.node for fault in self.faults if self.machine != "jeffcott"]
         effect: dict[str, float] = {}
         for fault in self.faults:
             head = "" if len(self.faults) == 1 else f"{fault.physics}."
@@ -69,7 +71,7 @@ class Case:
             "effect": effect,
             "parameters": self.parameters,
             "class": classes,
-            "nodes": {f.physics: f.node for f in self.faults} if self.machine == "fe_rigid" else {},
+            "nodes": {f.physics: f.node for f in self.faults} if self.machine != "jeffcott" else {},
             "blocks": {fault.physics: list(fault.blocks) for fault in self.faults},
             "law": next((fault.law for fault in self.faults if fault.law), None),
             "detectability": round(self.visible, 1),
@@ -79,33 +81,43 @@ class Case:
         }
 
     def _noise_floor(self, lanes: list[int]) -> float:
-        """Return noise over motion: of all held-out runs together for probes and for current, rms of the two."""
+        """Return noise over motion: of all held-out runs together for probes and for each current, rms of these."""
+        currents = [name for name in self.motion.signals if name.startswith("current")]
         shares = []
-        for kind in (0, 1):
+        for kind, names in enumerate([[n for n in self.motion.signals if n not in currents], *([n] for n in currents)]):
             noise, moved = 0.0, 0.0
-            for name, value in self.motion.signals.items():
-                if kind == int(name == "current"):
-                    for lane in lanes:
-                        noise += self.instruments.noise[kind] ** 2
-                        moved += float(np.mean(np.abs(value[lane] - value[lane].mean()) ** 2)) / 2
+            for value in (self.motion.signals[name] for name in names):
+                for lane in lanes:
+                    noise += self.instruments.noise[min(kind, 1)] ** 2
+                    moved += float(np.mean(np.abs(value[lane] - value[lane].mean()) ** 2)) / 2
             shares.append(noise / moved)
         return float(np.sqrt(np.mean(shares)))
 
 
-def draw_parameters(rng: np.random.Generator) -> dict[str, float]:
+def draw_parameters(rng: np.random.Generator, machine: str) -> dict[str, float]:
     """Draw the free parameters: +-30 % about the nominal, any phase."""
-    found = {name: value * rng.uniform(0.7, 1.3) for name, value in NOMINAL.items()}
-    found |= {"beta": rng.uniform(-np.pi, np.pi), "crack_phase": rng.uniform(-np.pi, np.pi)}
-    return {name: float(value) for name, value in found.items()}
+    return {
+        name: float(rng.uniform(-np.pi, np.pi) if value is None else value * rng.uniform(0.7, 1.3))
+        for name, value in DRAWN[machine].items()
+    }
+
+
+def draw_gains(rng: np.random.Generator, machine: str) -> dict[str, tuple[Gains, ...]]:
+    """Draw three sets of gains of each bearing: A of the diagram, B softer and more damped, C stiffer and less."""
+
+    def about(own: Gains, KP: tuple[int, int], KD: tuple[int, int]) -> Gains:
+        drawn = (float(rng.integers(*KP)) * 500, float(rng.integers(15, 31)) * 100, float(rng.integers(*KD)) / 10)
+        scale = [mine / plain for mine, plain in zip(own, PLAIN, strict=True)]
+        return drawn[0] * scale[0], drawn[1] * scale[1], drawn[2] * scale[2]
+
+    own = GAINS[machine]
+    B = tuple(about(one, (16, 21), (35, 56)) for one in own)
+    return {"A": own, "B": B, "C": tuple(about(one, (27, 33), (18, 27)) for one in own)}
 
 
 def draw_runs(rng: np.random.Generator, machine: str) -> list[Run]:
     """Draw about ten runs to identify, with two sets of gains, and five to hold out, at other speeds and gains."""
-    gains = {
-        "A": A,
-        "B": (float(rng.integers(16, 21)) * 500, float(rng.integers(15, 31)) * 100, float(rng.integers(35, 56)) / 10),
-        "C": (float(rng.integers(27, 33)) * 500, float(rng.integers(15, 31)) * 100, float(rng.integers(18, 27)) / 10),
-    }
+    gains = draw_gains(rng, machine)
     samples = int(rng.integers(4500, 5501))
     runs = []
     for label, speeds, use in zip("ABAC", SPEEDS[machine], ("identify",) * 2 + ("hold_out",) * 2, strict=True):
@@ -120,8 +132,9 @@ def peaks(motion: Motion, runs: list[Run]) -> dict[str, float]:
     fit = [run.use == "identify" for run in runs]
     found: dict[str, float] = {}
     for name, value in motion.signals.items():
-        if name == "current":
-            largest, short = np.maximum(np.abs(value.real), np.abs(value.imag)).max(axis=1), "i"
+        if name.startswith("current"):
+            largest = np.maximum(np.abs(value.real), np.abs(value.imag)).max(axis=1)
+            short = f"i{name.removeprefix('current')}"
         else:
             largest, short = np.abs(value).max(axis=1), f"z{name[1:]}"
         found |= {short: float(largest[fit].max()), f"all {short}": float(largest.max())}
@@ -137,7 +150,7 @@ def known_rows(kind: str) -> set[str]:
 def _choose(seed: tuple[int, ...], kind: str, machine: str, number: int, only: tuple[str, ...]) -> list[Entry]:
     """Return the rows of a case: all in turn, in an order that the first number of the seed fixes."""
     table = {"one": ROWS, "two": ROWS, "alias": ALIASES, "outside": OUTSIDE}.get(kind, {})
-    able = {n: e for n, e in table.items() if machine in e.nodes and (not only or n in only or kind == "two")}
+    able = {n: e for n, e in table.items() if e.nodes(machine) and (not only or n in only or kind == "two")}
     if not able and kind != "nothing":
         raise ValueError(f"no row of kind {kind} that is asked for can be on {machine}")
     if not able:
@@ -171,25 +184,24 @@ def make_case(
     rng = np.random.default_rng(seed)
     least = 0.0
     for attempt in range(1, 21):
-        parameters, runs = draw_parameters(rng), draw_runs(rng, machine)
+        parameters, runs = draw_parameters(rng, machine), draw_runs(rng, machine)
         lifted = float(np.exp(rng.uniform(np.log(3.0), np.log(40.0)))) if rng.random() < 0.5 else np.inf
         try:
             healthy = Simulation(machine, parameters, runs, RATE, lifted=lifted).run()
             sizes = peaks(healthy, runs)
             faults = []
             for entry in _choose(seed, kind, machine, number, only):
-                plant = MACHINES[machine](parameters, A)
+                plant = MACHINES[machine](parameters, GAINS[machine])
                 low = max(least, 0.5 if kind == "two" else 0.0)
                 draw = Draw(
                     rng,
                     machine,
-                    int(rng.choice(entry.nodes[machine])),
+                    int(rng.choice(entry.nodes(machine))),
                     parameters,
                     sizes,
                     float(rng.uniform(low, 1.0)),
                     len(runs),
-                    plant.amb,
-                    {node: 1 / plant.flexibility(node) for node in plant.displacement},
+                    plant,
                 )
                 faults.append(entry.make(draw))
             motion = healthy
@@ -200,12 +212,12 @@ def make_case(
         largest = max(value for key, value in peaks(motion, runs).items() if key.startswith("all z"))
         if largest > LIMIT:
             continue
-        found = peaks(motion, runs)
-        instruments = draw_instruments(rng, (largest, found["all i"]))
+        current = max(value for key, value in peaks(motion, runs).items() if key.startswith("all i"))
+        instruments = draw_instruments(rng, (largest, current))
         case = Case(name, kind, machine, faults, parameters, runs, lifted, instruments, motion, 0.0, attempt)
         if faults:
             case.visible = detectability(machine, parameters, runs, lifted, healthy, motion, instruments, case.coarse)
-        if kind not in ("one", "two", "outside") or case.visible >= LEAST[machine]:
+        if kind not in ("one", "two", "outside") or case.visible >= (LEAST if machine == "jeffcott" else LEAST_BEAM):
             return case
         least = min(0.9, least + 0.15)
     raise RuntimeError(f"{name}: no stable machine with a visible fault in twenty attempts")

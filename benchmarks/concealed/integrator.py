@@ -73,17 +73,15 @@ class Nodes:
     theta: Array
     rate: Array
     speed: Array
-    KP: Array
-    KD: Array
     past: Array | None = None  # outputs one delay ago (L, p, s)
 
     def part(self, lanes: Array, interpolate: Array, timed: bool) -> Nodes:
         """Return the nodes of a part of the step, for some lanes; without times where no force wants them."""
         if not timed:
-            return Nodes(self.t, self.theta, self.rate, self.speed[lanes], self.KP[lanes], self.KD[lanes])
+            return Nodes(self.t, self.theta, self.rate, self.speed[lanes])
         t = np.broadcast_to(self.t, self.theta.shape)
         inner = [np.ascontiguousarray(v[lanes] @ interpolate.T) for v in (t, self.theta, self.rate)]
-        return Nodes(inner[0], inner[1], inner[2], self.speed[lanes], self.KP[lanes], self.KD[lanes])
+        return Nodes(inner[0], inner[1], inner[2], self.speed[lanes])
 
 
 @dataclass
@@ -116,9 +114,11 @@ class Stepper:
         points: int = 7,
         samples: int = 1,
         timed: bool = True,
+        paired: bool = False,
     ) -> None:
         self.lam, self.B, self.C, self.step, self.forces, self.points = lam, B, C, step, forces, points
         self.timed = timed  # the forces depend on time or angle
+        self.paired = paired  # the second half of the inputs are the conjugates of the first
         self.samples = samples  # equidistant, in one step
         self.scales = np.ones(C.shape[1]) if scales is None else scales  # sizes of the outputs
         self.rough = rough  # error of an output, in its scale, allowed in one step where forces are not smooth
@@ -225,6 +225,7 @@ class Stepper:
         lanes, _, s = guess.shape
         f, last = guess, np.inf
         enough = EXACT if self.rough is None else 1e-3 * self.rough
+        patience = 4 if self.paired else 1  # a step of Newton's method costs more there
         for k in range(FIXED_POINT):
             y = (base + table.reply @ f.reshape(lanes, -1, 1)).reshape(lanes, -1, s)
             new = forces(nodes, y)
@@ -232,16 +233,20 @@ class Stepper:
             f = new
             if change <= enough:
                 return f, y, np.ones(lanes, bool)
-            if change > 0.6 * last and k > 1:
+            if change > 0.6 * last and k > patience:
                 break
             last = change
         return self._newton(base, table, nodes, f)
 
     def _newton(self, base: Array, table: Table, nodes: Nodes, f: Array) -> tuple[Array, Array, Array]:
-        """Solve by Newton's method with numerical derivatives of the forces, which are local in time."""
+        """Solve by Newton's method with numerical derivatives of the forces, which are local in time.
+
+        dF = alike dy + other conj(dy),   dy = reply df  or, of paired inputs,  reply_1 df + reply_2 conj(df)
+        """
         forces = self.forces
         assert forces is not None
-        lanes, m, s = f.shape
+        lanes, _, s = f.shape
+        m = f.shape[1] // 2 if self.paired else f.shape[1]
         size, reply = m * s, table.reply
         good = np.zeros(lanes, bool)
         enough = EXACT if self.rough is None else 1e-3 * self.rough
@@ -252,6 +257,7 @@ class Stepper:
             good = (np.abs(residual).max(axis=2) * table.reach).max(axis=1) <= enough
             if good.all():
                 break
+            here, residual = here[:, :m], residual[:, :m]
             straight = np.zeros((lanes, size, size), complex)
             turned = np.zeros((lanes, size, size), complex)
             for j in range(y.shape[1]):
@@ -260,12 +266,16 @@ class Stepper:
                 for way in (1.0, 1j):
                     moved = y.copy()
                     moved[:, j] += small * way
-                    derivatives.append((forces(nodes, moved) - here) / small)
-                block = reply.reshape(lanes, y.shape[1], s, size)[:, j]  # (L, s, size)
+                    derivatives.append((forces(nodes, moved)[:, :m] - here) / small)
+                blocks = reply.reshape(lanes, y.shape[1], s, -1)[:, j]  # (L, s, inputs)
+                block, conjugate = blocks[..., :size], blocks[..., size:]
                 alike = (derivatives[0] - 1j * derivatives[1]) / 2
                 other = (derivatives[0] + 1j * derivatives[1]) / 2
                 straight += (alike[..., None] * block[:, None]).reshape(lanes, size, size)
                 turned += (other[..., None] * block.conj()[:, None]).reshape(lanes, size, size)
+                if self.paired:
+                    straight += (other[..., None] * conjugate.conj()[:, None]).reshape(lanes, size, size)
+                    turned += (alike[..., None] * conjugate[:, None]).reshape(lanes, size, size)
             J = np.empty((lanes, 2 * size, 2 * size))
             J[:, :size, :size] = np.eye(size) - straight.real - turned.real
             J[:, :size, size:] = straight.imag - turned.imag
@@ -273,7 +283,8 @@ class Stepper:
             J[:, size:, size:] = np.eye(size) - straight.real + turned.real
             r = residual.reshape(lanes, -1)
             move = np.linalg.solve(J, np.concatenate([r.real, r.imag], axis=1)[..., None])[..., 0]
-            f = f - (move[:, :size] + 1j * move[:, size:]).reshape(f.shape)
+            part = f[:, :m] - (move[:, :size] + 1j * move[:, size:]).reshape(lanes, m, s)
+            f = np.concatenate([part, part.conj()], axis=1) if self.paired else part
         return f, y, good
 
 

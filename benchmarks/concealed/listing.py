@@ -10,6 +10,7 @@ from benchmarks.concealed.detect import detectability
 from benchmarks.concealed.faults import OUTSIDE, ROWS, Entry, Fault
 from benchmarks.concealed.measuring import Instruments
 from benchmarks.concealed.simulate import Motion, Run, Simulation
+from benchmarks.concealed.sites import SITES, WORDS
 
 TYPICAL = Instruments((2e-8, 3e-4), (1e-4, 1.0), 16, 1e-6)
 
@@ -29,21 +30,31 @@ def _sizes(small: Fault, large: Fault) -> str:
     return ", ".join(parts) or "-"
 
 
+def _sites() -> list[str]:
+    """Return a markdown table of the nodes that sites have on each beam."""
+    beams = [machine for machine in SITES if machine != "jeffcott"]
+    lines = [f"| on a beam | {' | '.join(f'`{machine}`' for machine in beams)} |", "|---" * (1 + len(beams)) + "|"]
+    for site in (site for site in WORDS if site != "machine"):
+        nodes = (", ".join(map(str, SITES[machine][site])) for machine in beams)
+        lines.append(f"| {WORDS[site]} | {' | '.join(nodes)} |")
+    return lines
+
+
 def listing(visible: bool) -> str:
-    """Return a markdown table; D of both ends on one machine with noise of 20 nm and 0.3 mA if `visible`."""
+    """Return markdown tables of sites and of rows.
+
+    D of both ends, if `visible`: on one machine, with noise of 20 nm and 0.3 mA.
+    """
     scenes = {machine: scene(machine) for machine in ("jeffcott", "fe_rigid")}
-    lines = ["| row or law | nodes | equation | sizes (SI) | D |", "|---|---|---|---|---|"]
+    lines = [*_sites(), "", "| row or law | where | equation | sizes (SI) | D |", "|---|---|---|---|---|"]
     for name, entry in (ROWS | OUTSIDE).items():
-        machine = "jeffcott" if "jeffcott" in entry.nodes else "fe_rigid"
+        machine = "jeffcott" if entry.jeffcott else "fe_rigid"
         parameters, runs, healthy, peaks = scenes[machine]
         ends = [drawn(name, machine, strength, parameters, peaks, len(runs)) for strength in (0.0, 1.0)]
         found = [_visible(machine, fault, healthy, parameters, runs) for fault in ends] if visible else []
-        places = "; ".join(
-            "Jeffcott" if where == "jeffcott" else "beam " + ", ".join(map(str, nodes))
-            for where, nodes in entry.nodes.items()
-        )
+        places = ["Jeffcott"] * entry.jeffcott + [f"beam: {WORDS[site]}" for site in (entry.beam,) if site]
         D = " to ".join(found) or "-"
-        lines.append(f"| `{name}` | {places} | {_law(entry)} | {_sizes(*ends)} | {D} |")
+        lines.append(f"| `{name}` | {'; '.join(places)} | {_law(entry)} | {_sizes(*ends)} | {D} |")
     return "\n".join(lines)
 
 

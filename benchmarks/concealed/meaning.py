@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import cos, pi, sin, sqrt
 
-from benchmarks.concealed.plant import SHAFT_STIFFNESS
+from benchmarks.concealed.machines import SHAFT_STIFFNESS
 
 Effect = dict[str, float]
 Reading = Callable[[Effect], float]

@@ -137,17 +137,21 @@ def read_signals(
     rate: float = 5000.0,
     more: np.random.Generator | None = None,
 ) -> list[dict[str, Array]]:
-    """Return for each lane its columns: x3, y3 ... (or x, y on one node), ix, iy. more: random numbers of nuisances."""
+    """Return for each lane its columns: x3, y3 ... (or x, y on one node), ix, iy, ix2, iy2.
+
+    more: random numbers of nuisances
+    """
     probes = [name for name in motion.signals if name[0] == "p"]
+    currents = [name for name in motion.signals if name[0] == "c"]
     runs: list[dict[str, Array]] = []
     for lane in range(len(motion.clock.theta)):
         columns: dict[str, Array] = {}
-        for name in [*probes, "current"]:
-            which = int(name == "current")
+        for name in [*probes, *currents]:
+            which = int(name in currents)
             lsb = instruments.lsb[which] if which or not coarse else coarse
             place = "" if len(probes) == 1 else name[1:]
             for axis, value in (("x", motion.signals[name][lane].real), ("y", motion.signals[name][lane].imag)):
-                column = f"i{axis}" if which else f"{axis}{place}"
+                column = f"i{axis}{name.removeprefix('current')}" if which else f"{axis}{place}"
                 if more is not None:
                     value = disturbed(value, instruments.noise[which], not which, nuisances, rate, more)
                 columns[column] = convert(value, instruments.noise[which], instruments.span[which], lsb, rng)

@@ -6,14 +6,14 @@ import numpy as np
 
 from benchmarks.concealed.faults import OUTSIDE, Array, Draw, Fault, row
 from benchmarks.concealed.integrator import Nodes
-from benchmarks.concealed.mechanical import EVERY
-from benchmarks.concealed.plant import SHAFT_STIFFNESS, Plant
+from benchmarks.concealed.machines import SHAFT_STIFFNESS
+from benchmarks.concealed.plant import Plant
 from benchmarks.concealed.simulate import Clock
 
 NAME = "outside_catalogue"
 
 
-@row(OUTSIDE, "dahl", "outside", fe=EVERY)
+@row(OUTSIDE, "dahl", "outside", beam="probe")
 def dahl(draw: Draw) -> Fault:
     """f = -a w, w' = q' - |q'| w / b: friction with memory, isotropic."""
     f, _, v = draw.place
@@ -37,7 +37,7 @@ def dahl(draw: Draw) -> Fault:
     )
 
 
-@row(OUTSIDE, "bouc_wen", "outside", fe=EVERY)
+@row(OUTSIDE, "bouc_wen", "outside", beam="probe")
 def bouc_wen(draw: Draw) -> Fault:
     """f = -a w, w' = q' (1 - |w / b|^2 (1 + sgn(q' w)) / 2) per axis."""
     f, _, v = draw.place
@@ -64,7 +64,7 @@ def bouc_wen(draw: Draw) -> Fault:
     )
 
 
-@row(OUTSIDE, "quadratic_drag", "outside", fe=EVERY)
+@row(OUTSIDE, "quadratic_drag", "outside", beam="probe")
 def quadratic_drag(draw: Draw) -> Fault:
     """f = -c2 |q'| q'."""
     f, z, v = draw.place
@@ -78,7 +78,7 @@ def quadratic_drag(draw: Draw) -> Fault:
     )
 
 
-@row(OUTSIDE, "fractional_stiffness", "outside", fe=EVERY)
+@row(OUTSIDE, "fractional_stiffness", "outside", beam="probe")
 def fractional_stiffness(draw: Draw) -> Fault:
     """f = -k_p |q|^(p - 1) q, p = 1.4 ... 1.7."""
     f, z, _ = draw.place
@@ -94,7 +94,7 @@ def fractional_stiffness(draw: Draw) -> Fault:
     )
 
 
-@row(OUTSIDE, "hertz_contact", "outside", fe=EVERY)
+@row(OUTSIDE, "hertz_contact", "outside", beam="probe")
 def hertz_contact(draw: Draw) -> Fault:
     """f = -k_h (rho - g)_+^(3/2) q / rho."""
     f, z, _ = draw.place
@@ -109,7 +109,7 @@ def hertz_contact(draw: Draw) -> Fault:
     return Fault(NAME, effect, draw.node, law="hertz_contact", feedback=feedback, reads=(z,), drives=(f,), corner=1e-16)
 
 
-@row(OUTSIDE, "pulse", "outside", fe=EVERY)
+@row(OUTSIDE, "pulse", "outside", beam="probe")
 def pulse(draw: Draw) -> Fault:
     """f = F e^{20 (cos(theta - theta_p) - 1)} e^{i direction}: one knock a turn, in a direction of the stator."""
     size, angle, direction = draw.size(1e-3, 3.0), draw.angle(), draw.angle()
@@ -121,7 +121,7 @@ def pulse(draw: Draw) -> Fault:
     return Fault(NAME, effect, draw.node, law="pulse", force=force, drives=draw.place[:1])
 
 
-@row(OUTSIDE, "delayed_feedback", "outside", fe=EVERY)
+@row(OUTSIDE, "delayed_feedback", "outside", beam="probe")
 def delayed_feedback(draw: Draw) -> Fault:
     """f = -k_d q(t - tau), tau a whole number of integration steps of 0.8 ms."""
     f, z, _ = draw.place
@@ -136,7 +136,7 @@ def delayed_feedback(draw: Draw) -> Fault:
     )
 
 
-@row(OUTSIDE, "parametric_stiffness", "outside", fe=EVERY)
+@row(OUTSIDE, "parametric_stiffness", "outside", beam="probe")
 def parametric_stiffness(draw: Draw) -> Fault:
     """f = -k_p cos(3 theta + phase) q."""
     f, z, _ = draw.place
@@ -151,7 +151,7 @@ def parametric_stiffness(draw: Draw) -> Fault:
     )
 
 
-@row(OUTSIDE, "whirl_force", "outside", fe=EVERY)
+@row(OUTSIDE, "whirl_force", "outside", beam="probe")
 def whirl_force(draw: Draw) -> Fault:
     """f = F e^{i(n theta + phase)}, n = 0.42 ... 0.48: follows the speed, but not as a harmonic."""
     size, order, phases = draw.size(8e-4, 0.8), draw.between(0.42, 0.48), draw.phases

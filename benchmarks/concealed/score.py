@@ -138,9 +138,9 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
         result["right"] |= bool(answers) and all(names & right for _, names, _ in answers)
     if kind == "nothing" or (kind in ("one", "two") and all(result["exact"].values())):
         for name, found in (diagnosis.get("parameters", {}).get("after") or {}).items():
-            key = FREE.get(name, name)
+            key = name if name in truth["parameters"] else FREE.get(name, name)
             if key in truth["parameters"] and isinstance(found, dict) and _number(found.get("value")) is not None:
-                period = 6.283185307179586 if name.endswith("phase") else 0.0
+                period = 6.283185307179586 if "phase" in name else 0.0
                 result["free"].append({"name": name, **_estimate(found, truth["parameters"][key], period)})
     result |= _held_out(diagnosis.get("fit", {}), truth.get("noise_floor"), truth.get("held_out"))
     return result

@@ -15,8 +15,10 @@ import numpy as np
 
 from benchmarks.concealed.compact import read_diagnoses
 from benchmarks.concealed.generator import KINDS, MIX, make_case
+from benchmarks.concealed.machines import MACHINES
 from benchmarks.concealed.writing import write_case
 
+GROUPS = {"both": ("jeffcott", "fe_rigid"), "beams": ("fe_rigid", "fe_flexible", "two_amb_rotor")}
 Job = tuple[
     str, str, str, int, tuple[int, ...], tuple[str, ...], tuple[str, ...], str
 ]  # name, kind, machine, number, seed, rows, nuisances, folder
@@ -32,7 +34,7 @@ def plan(
     nuisances: tuple[str, ...] = (),
 ) -> list[Job]:
     """Return the jobs of a set. A case depends on seed, machine, kind and its number, on nothing else."""
-    machines = ("jeffcott", "fe_rigid") if machine == "both" else (machine,)
+    machines = GROUPS.get(machine, (machine,))
     jobs: list[Job] = []
     counts: dict[tuple[str, str], int] = {}
     share = np.array(MIX) / sum(MIX)
@@ -46,7 +48,7 @@ def plan(
         number = counts.get((which, chosen), 0)
         counts[which, chosen] = number + 1
         name = f"{which[0]}{index:04d}"
-        case_seed = (seed, ("jeffcott", "fe_rigid").index(which), KINDS.index(chosen), number)
+        case_seed = (seed, [*MACHINES].index(which), KINDS.index(chosen), number)
         jobs.append((name, chosen, which, number, case_seed, only, nuisances, str(folder)))
     return jobs
 

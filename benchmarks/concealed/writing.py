@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.concealed.generator import RATE, Case
+from benchmarks.concealed.machines import nominal
 from benchmarks.concealed.measuring import Nuisances, draw_nuisances, pulses, read_signals
+from benchmarks.concealed.plant import Bearing, Gains
 
 Array = NDArray[Any]
 FORMATS = ("csv", "npz", "mat")
@@ -25,6 +27,7 @@ def write_case(case: Case, folder: Path, seed: tuple[int, ...], nuisances: tuple
     columns = read_signals(case.motion, case.instruments, rng, case.coarse, drawn, RATE, more)
     duration = case.runs[0].samples / RATE
     tacho = pulses(case.motion, duration, float(np.hypot(case.instruments.jitter, drawn.jitter)), rng, drawn.grid)
+    bearings = nominal(case.machine).bearings
     suffix = FORMATS[int(rng.integers(len(FORMATS)))]
     for use, place in (("identify", folder / case.name), ("hold_out", folder / "hold_out" / case.name)):
         place.mkdir(parents=True, exist_ok=True)
@@ -34,7 +37,6 @@ def write_case(case: Case, folder: Path, seed: tuple[int, ...], nuisances: tuple
             hertz = run.speed / (2 * np.pi)
             name = f"run{len(runs):02d}_{hertz:05.1f}Hz_{run.label}"
             _write_data(place / f"{name}.{suffix}", columns[lane])
-            KP, KI, KD = run.gains
             runs.append(
                 {
                     "id": name,
@@ -43,10 +45,11 @@ def write_case(case: Case, folder: Path, seed: tuple[int, ...], nuisances: tuple
                     "speed": f"{60 * hertz:.0f} rpm",
                     "tacho": tacho[lane],
                     "use": use,
-                    "set": {"controller.KP": KP, "controller.KD": KD, "controller.KI": KI},
+                    "set": _settings(run.gains, bearings),
                 }
             )
-        recording = {"name": case.name, "source": _source(case), "channels": _channels(case, columns[0]), "runs": runs}
+        channels = _channels(columns[0], bearings)
+        recording = {"name": case.name, "source": _source(case), "channels": channels, "runs": runs}
         (place / "recording.json").write_text(json.dumps(recording, indent=1) + "\n")
     truths = folder / "truth"
     truths.mkdir(exist_ok=True)
@@ -59,16 +62,28 @@ def _source(case: Case) -> str:
     span, bits = case.instruments.span, case.instruments.bits
     text = "simulated by a program that shares nothing with rotorsim; the sensors' noise is in the data; "
     text += f"converters of {bits} bit over +-{span[0] * 1e6:g} um and +-{span[1]:g} A"
-    if case.machine == "fe_rigid":
-        text += "; probes at nodes 2 to 5 of the six of diagram fe_rigid, another mesh"
+    if case.machine != "jeffcott":
+        probes = tuple(nominal(case.machine).probes)
+        count = {6: "six", 9: "nine"}[len(nominal(case.machine).tilt)]
+        text += f"; probes at nodes {probes[0]} to {probes[-1]} of the {count} of diagram {case.machine}, another mesh"
     return text
 
 
-def _channels(case: Case, columns: dict[str, Array]) -> dict[str, dict[str, Any]]:
+def _settings(gains: tuple[Gains, ...], bearings: list[Bearing]) -> dict[str, float]:
+    """Return the gains by the names that they have in the diagram."""
+    return {
+        f"{bearing.controller}.{name}": own[k]
+        for own, bearing in zip(gains, bearings, strict=True)
+        for k, name in ((0, "KP"), (2, "KD"), (1, "KI"))
+    }
+
+
+def _channels(columns: dict[str, Array], bearings: list[Bearing]) -> dict[str, dict[str, Any]]:
+    controllers = {bearing.mark: bearing.controller for bearing in bearings}
     out: dict[str, dict[str, Any]] = {}
     for name in columns:
         if name[0] == "i":
-            out[name] = {"signal": "controller.current", "axis": name[1], "unit": "A"}
+            out[name] = {"signal": f"{controllers[name[2:]]}.current", "axis": name[1], "unit": "A"}
         else:
             node = {"node": int(name[1:])} if len(name) > 1 else {}
             out[name] = {"signal": "rotor.displacement", **node, "axis": name[0], "unit": "m"}

@@ -19,11 +19,12 @@ from threadpoolctl import threadpool_limits
 from benchmarks.concealed import generator, score, sets, tables
 from benchmarks.concealed.__main__ import main
 from benchmarks.concealed.check import difference, drawn, scene
+from benchmarks.concealed.core import Core
 from benchmarks.concealed.detect import detectability
 from benchmarks.concealed.loop import late
 from benchmarks.concealed.machine_fe import bare_frequencies
+from benchmarks.concealed.machines import fe_rigid
 from benchmarks.concealed.measuring import Instruments
-from benchmarks.concealed.plant import fe_rigid
 from benchmarks.concealed.simulate import Accuracy, Run, Simulation
 from benchmarks.concealed.writing import write_case
 
@@ -38,14 +39,14 @@ def _one_thread() -> Iterator[None]:
 ROOT = Path(__file__).parents[2] / "benchmarks" / "concealed"
 PARAMETERS = {"c": 76.0, "e": 24e-6, "dk": 3e5, "ks": 105210.0, "ki": 42.1, "beta": 0.5, "crack_phase": -0.4}
 GAINS = (12200.0, 2000.0, 3.0)
-RUNS = [Run(2 * math.pi * f, 0.7, GAINS, "A", 2000, "identify") for f in (2.03, 24.7, 71.2, 99.1)]
+RUNS = [Run(2 * math.pi * f, 0.7, (GAINS,), "A", 2000, "identify") for f in (2.03, 24.7, 71.2, 99.1)]
 SAG = 26e-6
 INSTRUMENTS = Instruments((2.5e-8, 4e-4), (1e-4, 1.0), 16, 1e-6)
 
 
 def settled(run: Run, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Displacement and current of thesis eq. (2.26), harmonic by harmonic; the integral action leaves no mean."""
-    p, (KP, KI, KD) = PARAMETERS, run.gains
+    p, (KP, KI, KD) = PARAMETERS, run.gains[0]
     series = {0: 0.5} | {k: sign / (math.pi * k) for k, sign in ((1, 1), (3, -1), (5, 1), (7, -1), (9, 1))}
     opening: dict[int, float] = series | {-k: s for k, s in series.items() if k}  # s = sum of these e^{ika}
     force: dict[int, complex] = {}
@@ -98,7 +99,7 @@ def test_feedback_agrees_with_another_integrator(name: str) -> None:
     moved = Simulation("jeffcott", parameters, [run], 5000.0).run().signals["p1"] - motion.signals["p1"]
     assert np.abs(moved).max() > 1e-5 * np.abs(motion.signals["p1"]).max()  # a thousand times the tolerance below
     start = dict(zip(simulation.recorded, simulation.C[lane] @ w[lane], strict=True))
-    KP, KI, KD = run.gains
+    KP, KI, KD = run.gains[0]
     e = fault.effect
     hidden = {"dahl": "aux0"}.get(name)
     z0, v0 = start["p1"], start.get("v1")
@@ -149,11 +150,7 @@ def test_feedback_agrees_with_another_integrator(name: str) -> None:
 
 
 def _velocity(simulation: Simulation, w: np.ndarray, lane: int) -> complex:
-    from benchmarks.concealed.plant import Core
-    from benchmarks.concealed.simulate import _eigen
-
-    core = Core(simulation.plants[lane], simulation.runs[lane].speed)
-    _, right, _ = _eigen(core)
+    _, right, _ = Core(simulation.plants[lane], simulation.runs[lane].speed).eigen()
     return complex((right @ w[lane])[1])
 
 
@@ -176,7 +173,7 @@ def test_beam_converges_with_the_fourth_power_of_the_element() -> None:
 
 
 def test_rotor_on_the_mesh_of_the_diagram_has_the_known_frequencies() -> None:
-    plant = fe_rigid(PARAMETERS, GAINS, elements=5)
+    plant = fe_rigid(PARAMETERS, (GAINS,), parts=1)
     rest = np.sqrt(eigh(plant.stiffness.real, plant.mass.real, eigvals_only=True)[:3]) / 2 / math.pi
     np.testing.assert_allclose(rest, [54.3005, 338.398, 678.808], rtol=2e-6)
     n, speed = plant.size, 100 * math.pi

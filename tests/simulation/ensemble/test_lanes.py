@@ -19,7 +19,7 @@ from tests.systems.shipped import DIAGRAMS, document, load_document, variant
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 
 STEPS = 400
-LONG = ("fe_flexible", "fe_flexible_runup", "fe_rigid_runup", "rk4", "tum_amb_rotor")  # to compile
+LONG = ("fe_flexible", "fe_flexible_runup", "fe_rigid_runup", "rk4", "tum_amb_rotor", "two_amb_rotor")  # to compile
 SHIPPED = sorted(file.stem for file in DIAGRAMS.glob("*.json") if file.stem != "diagram.schema")
 SAMPLED = {"type": "discrete_pid", "parameters": {"KP": "12200 A/m", "KI": "2000 A/(m s)", "KD": "3 A s/m"}}
 
