@@ -23,7 +23,7 @@ RESPONSIVE = 2.5  # AF from which a separation margin is needed
 MOST_BELOW, MOST_ABOVE = 16.0, 26.0  # %: largest margins that are required
 HALF_POWER = 1 / sqrt(2)
 REACH, GRID = 6.0, 60  # half widths to each side of a peak, and places there, between which it is looked for
-FINE = {"xatol": 1e-9}
+PEAK_SEARCH = {"xatol": 1e-9}
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,9 @@ def _peak_on(frequency: float, damping: float, order: int, slope: float) -> Peak
     at = int(np.argmax([size(speed) for speed in grid]))
     if at in (0, len(grid) - 1):
         return Peak(np.nan, np.nan, np.nan)
-    top = minimize_scalar(lambda v: -size(v), bounds=(grid[at - 1], grid[at + 1]), method="bounded", options=FINE).x
+    top = minimize_scalar(
+        lambda v: -size(v), bounds=(grid[at - 1], grid[at + 1]), method="bounded", options=PEAK_SEARCH
+    ).x
     wanted = size(top) * HALF_POWER
     sides = []
     for side in (grid[:at][::-1], grid[at + 1 :]):
