@@ -112,13 +112,15 @@ def _draw_machine(axes: Axes, diagram: Diagram, shaft: _Shaft, recorded: Iterabl
         axes.bar(z[k], 2 * radius, width, -radius, fc=DISC, zorder=3, **edge)
     for k in shaft.pinned:
         axes.plot(z[k], -0.045 * span, "^", ms=17, mfc="white", mec=INK, zorder=1.5)
-    for k, names in _acting(diagram, shaft, "bearing").items():
+    bearings = _acting(diagram, shaft, "bearing")
+    for k, names in bearings.items():
         for number, name in enumerate(names):
             _draw_bearing(axes, float(z[k]) + 0.05 * span * number, span, name, "current" in diagram.nodes[name].inputs)
     for k, names in _acting(diagram, shaft, "excitation").items():
         axes.annotate(", ".join(names), (z[k], -0.25 * span), ha="center", va="top", fontsize=7.5, color=GREY)
     for k in _probes(shaft, recorded):
-        at, arrow = float(z[k]) - 0.035 * span, {"arrowstyle": "-|>", "color": GREEN, "lw": 1.4}
+        beside = k in bearings or k in {disc[0] for disc in shaft.discs}
+        at, arrow = float(z[k]) - 0.035 * span * beside, {"arrowstyle": "-|>", "color": GREEN, "lw": 1.4}
         axes.annotate("", (at, 0.03 * span), (at, 0.19 * span), arrowprops=arrow)
         axes.annotate("probe", (at, 0.2 * span), ha="center", va="bottom", fontsize=7.5, color=GREEN)
     if shaft.only is None:
