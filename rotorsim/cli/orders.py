@@ -189,6 +189,7 @@ def _given(read: Recording | OrderRecording, runs: Sequence[str], orders: Sequen
 
     chosen = [run for run in read.runs if run.id in ids] if ids else None
     tracked, positions = tracked_recording(read, orders or (1, 2), turns, chosen)
+    show_problems(tracked.warnings)
     left = [run.id for run in read.runs if run.id not in {own.id for own in tracked.runs}]
     if left and not ids:
         note(f"at one speed, and left out: {', '.join(left)}")
@@ -269,8 +270,13 @@ def _figure(
     run, channels = given.orders.runs[0], given.orders.channels
     shown = {name: channels[name] for name in chosen if channels[name].order == found.order}
     title = f"{given.orders.name}, {run.id}"
+    units = sorted({one.unit for one in shown.values()})
     if kind in ("bode", "polar"):
+        hint = "--signal chooses what is drawn"
+        refuse_if(len(units) > 1, f"--figure {kind} has one scale, not {' and '.join(units)}", title, hint=hint)
         some = dict(list(shown.items())[: figures.MOST_CHANNELS])
+        if len(some) < len(shown):
+            note(f"drawn: the first {len(some)} of {len(shown)} channels; --signal chooses others")
         tracked = figures.Tracked(run, some, found, simulated.get(run.id, {}), diagram, operating)
         what = "Bode plot" if kind == "bode" else "Polar plot"
         draw = figures.bode_plot if kind == "bode" else figures.polar_plot
@@ -297,6 +303,9 @@ def _of_samples(kind: str, given: Given, run: OrderRun, chosen: Sequence[str], t
     refuse_if(not pairs, f"--figure {kind} needs channels of axis x and of axis y of one place", title)
     unit, factor = shown_unit(next(one for one in given.orders.channels.values() if one.column == pairs[0][0].column))
     if kind == "centreline":
+        blind = [one.column for pair in pairs for one in pair if given.sampled.channels[one.column].coupling == "ac"]
+        what = f'--figure centreline needs means, and {", ".join(blind)} have none: "coupling": "ac"'
+        refuse_if(blind, what, title)
         of_run = [at for at in given.positions if at.run == run.id]
         columns = [(x.column, y.column) for x, y in pairs]
         return figures.centreline_plot(of_run, columns, unit, factor, f"Shaft centreline, {title}")

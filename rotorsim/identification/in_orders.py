@@ -288,12 +288,8 @@ def order_estimate(search: OrderSearch, evaluation: Evaluation, variance: dict[t
     information = evaluation.information[np.ix_(searched, searched)]
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     inverse = np.linalg.pinv(information / np.outer(size, size), rcond=INVERTED, hermitian=True)
-    white[searched] = (
-        max(estimate.excess, 1.0)
-        * slowness([column for e in evaluation.residuals[0] for column in e.T])
-        * np.diag(inverse)
-        / size**2
-    )
+    slow = slowness([column for e in evaluation.residuals[0] for column in e.T])
+    white[searched] = max(estimate.excess, 1.0) * slow * np.diag(inverse) / size**2
     robust = np.diag(estimate.robust)
     wider = np.sqrt(np.maximum(white / np.where(robust > 0, robust, np.inf), 1.0))
     return replace(estimate, robust=estimate.robust * np.outer(wider, wider))

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from math import tau
 
 import numpy as np
+from scipy.fft import next_fast_len, rfft
+from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from rotorsim.errors import Problem, RotorsimError
@@ -25,6 +27,12 @@ HIGHEST = 20  # rectifiers and saturated cores make them
 AS_GOOD = 0.99  # of the best score: as good
 LARGEST_RUN = 200_000  # samples of a run: fitting harmonics takes 1.4 kB for each, which a check is not to cost
 PICKUP_STEP = 0.25  # of the resolution of the longest run
+LINE_PERIODS = 20.0  # of hum in a run: in fewer, it is not told from motion that passes
+HUM_MULTIPLES = (1, 2, 3, 4, 5, 6)  # rectifiers make those of two and six
+HUM_PADDING = 4  # bins in the resolution of a run
+BESIDE_NEAR, BESIDE_FAR = 2, 12  # times the resolution: between, the spectrum beside a line is looked at
+LEAST_POWER = 20.0  # times the power there, mean of all channels: noise makes as much once in e^20 looks at one channel
+HIGHEST_HUM = 0.45  # of the sample rate
 
 
 @dataclass(frozen=True)
@@ -154,6 +162,43 @@ def _refitted(
         hum=hum,
     )
     return replace(item, fit=fit)
+
+
+def mains_lines(residual: np.ndarray, dt: float) -> tuple[float, ...]:
+    """Return the frequencies [Hz] of lines of the mains that stand out of their neighbourhood in a residual (N, c).
+
+    Of a shaft whose speed changes: motion passes each frequency in a moment.
+    """
+    size = len(residual)
+    length = next_fast_len(HUM_PADDING * size, real=True)
+    power = np.abs(rfft(residual, length, axis=0)) ** 2 / size
+    step = 1 / (length * dt)
+    near, far = BESIDE_NEAR * HUM_PADDING, BESIDE_FAR * HUM_PADDING
+    found: list[float] = []
+    for frequency in (m * mains for mains in MAINS for m in HUM_MULTIPLES):
+        first, last = int(frequency * (1 - GRID_DRIFT) / step), int(frequency * (1 + GRID_DRIFT) / step) + 1
+        if (
+            frequency * dt > HIGHEST_HUM
+            or first < far
+            or last + far >= len(power)
+            or frequency * size * dt < LINE_PERIODS
+        ):
+            continue
+        best = first + int(np.argmax(power[first:last].sum(axis=1) if len(power[first:last]) else 0))
+        beside = np.concatenate([power[best - far : best - near], power[best + near : best + far]])
+        level = np.median(beside, axis=0) / np.log(2)  # of an exponential distribution
+        if float(np.mean(power[best] / np.maximum(level, 1e-300))) < LEAST_POWER:
+            continue
+        weight, time = 1 / np.maximum(level, 1e-300), dt * np.arange(size)
+
+        def less(f: float, weight: np.ndarray = weight, time: np.ndarray = time) -> float:
+            return -float((np.abs(np.exp(-1j * tau * f * time) @ residual) ** 2 * weight).sum())
+
+        bracket = ((best - HUM_PADDING / 2) * step, (best + HUM_PADDING / 2) * step)
+        line = float(minimize_scalar(less, bounds=bracket, method="bounded", options={"xatol": 1e-3 * step}).x)
+        if all(abs(line - other) * dt * size > BESIDE_NEAR for other in found):
+            found.append(line)
+    return tuple(found)
 
 
 def check_harmonics(recording: Recording) -> list[Problem]:

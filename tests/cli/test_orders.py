@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from rotorsim import load_orders
+from rotorsim.cli.orders import AMPLITUDES, PHASE_WORDS
 from rotorsim.recordings.order_writing import save_orders
+from rotorsim.recordings.orders import PHASES, TO_PEAK
 from rotorsim.signals.orders.extraction import tracked_recording
 from rotorsim.signals.orders.resonance import peak_of
 from tests.cli.conftest import Run
@@ -80,6 +82,30 @@ def test_figures_are_drawn(run: Run, figure: str) -> None:
     found = run("orders", "jeffcott_runup", *QUICK, "--order", "1", "--figure", figure, "--plot", "a.png")
     assert found.exit_code == 0, found.output
     assert Path("a.png").stat().st_size > 10_000
+
+
+def test_words_of_the_command_are_those_of_the_tables() -> None:
+    assert tuple(TO_PEAK) == AMPLITUDES
+    assert tuple(PHASES) == PHASE_WORDS
+
+
+def test_a_figure_has_one_unit_and_says_what_it_leaves_out(run: Run) -> None:
+    mixed = ("--signal", "rotor.displacement", "--signal", "controller.current")
+    found = run("orders", "jeffcott_runup", *QUICK, "--order", "1", *mixed, "--plot", "a.png")
+    assert found.exit_code == 2
+    assert "error: jeffcott_runup, run: --figure bode has one scale, not A and m\n" in found.stderr
+
+
+def test_what_is_coupled_for_ac_has_no_centreline(run: Run, tmp_path: Path) -> None:
+    record = ("record", "jeffcott_runup", *QUICK, "--window", "0.2 s:3.4 s", "--rate", "5000 Hz", "--out", "up")
+    assert run(*record).exit_code == 0
+    file = tmp_path / "up" / "recording.json"
+    document = json.loads(file.read_text())
+    document["channels"]["x"]["coupling"] = "ac"
+    file.write_text(json.dumps(document))
+    found = run("orders", "up", "--order", "1", "--figure", "centreline", "--plot", "a.png")
+    assert found.exit_code == 2
+    assert 'needs means, and x have none: "coupling": "ac"' in found.stderr
 
 
 def test_a_diagram_stands_beside_a_table(run: Run, table: Path) -> None:

@@ -8,9 +8,9 @@ import pytest
 
 from rotorsim.identification.identification import identify
 from rotorsim.identification.waveform.data import SampledRun
-from rotorsim.identification.waveform.hum import _lines
 from rotorsim.identification.waveform.noise import white_part
 from rotorsim.model.load import load
+from rotorsim.signals.pickup import mains_lines
 from tests.identification.run_up import NOISE, Machine, runs_of
 
 RATE, SIZE = 5000.0, 20000
@@ -31,9 +31,9 @@ def chirp(amplitude: float) -> np.ndarray:
 
 def test_noise_and_motion_have_no_hum():
     for seed in range(20):
-        assert [*_lines(white(seed), 1 / RATE)] == []
+        assert [*mains_lines(white(seed), 1 / RATE)] == []
     for amplitude in (1.0, 30.0):
-        assert [*_lines(white(50) + chirp(amplitude), 1 / RATE)] == []
+        assert [*mains_lines(white(50) + chirp(amplitude), 1 / RATE)] == []
 
 
 @pytest.mark.parametrize("frequency", [49.93, 60.04, 100.04])
@@ -41,7 +41,7 @@ def test_hum_is_found_in_noise_and_beside_motion(frequency):
     """To a twentieth of the resolution of 0.25 Hz: fitted so, (pi / 20)^2 / 3 = 1 % of its power is left."""
     line = np.sin(tau * frequency * TIME + 0.3)[:, None]
     for level, motion in ((0.3, 0.0), (3.0, 1.0)):
-        [found] = _lines(white(7) + chirp(motion) + level * line, 1 / RATE)
+        [found] = mains_lines(white(7) + chirp(motion) + level * line, 1 / RATE)
         assert found == pytest.approx(frequency, abs=0.25 / 20)
 
 

@@ -82,7 +82,8 @@ def clean_runs(
     runs: list[Clean] = []
     problems: list[Problem] = []
     for number, setting in enumerate(gains):
-        windows = (_settled if settled else _from_rest)(model, ports, setting, speeds, window)
+        settings = [{"speed": speed, **setting} for speed in speeds]
+        windows = (_settled if settled else _from_rest)(model, ports, settings, window)
         for speed, found in zip(speeds, windows, strict=True):
             name = f"{speed * 30 / np.pi:.6g} rpm" + (f", gains {number + 1}" if len(gains) > 1 else "")
             if isinstance(found, RotorsimError):
@@ -138,15 +139,11 @@ class _Window:
 
 
 def _from_rest(
-    model: Model,
-    signals: Sequence[str],
-    setting: Mapping[str, float],
-    speeds: Sequence[float],
-    window: tuple[float, float],
+    model: Model, signals: Sequence[str], settings: Sequence[Mapping[str, float]], window: tuple[float, float]
 ) -> Iterator[_Window | RotorsimError]:
     """Yield the window of a run at every speed, or why it has none; they begin at rest, and go side by side."""
     step, every = steps_of(model, THESIS_RATE)
-    varied = {"speed": np.array(speeds), **{name: np.full(len(speeds), value) for name, value in setting.items()}}
+    varied = {name: np.array([setting[name] for setting in settings]) for name in settings[0]}
     record = tuple(dict.fromkeys([*signals, ANGLE]))
     runs = simulate_many(
         model,
@@ -172,19 +169,16 @@ def _from_rest(
 
 
 def _settled(
-    model: Model,
-    signals: Sequence[str],
-    setting: Mapping[str, float],
-    speeds: Sequence[float],
-    window: tuple[float, float],
+    model: Model, signals: Sequence[str], settings: Sequence[Mapping[str, float]], window: tuple[float, float]
 ) -> Iterator[_Window | RotorsimError]:
     """Yield the settled motion at every speed over the window, or why there is none."""
     names = [flat for name in signals for flat in flat_names(model, name)]
-    for speed in speeds:
+    for setting in settings:
+        speed = setting["speed"]
+        others = {name: value for name, value in setting.items() if name != "speed"}
         try:
-            given = {"speed": speed, **setting}
-            angle = measure(model, [], ANGLE, window=window, rate=THESIS_RATE, parameters=given, closed=False)
-            motion = periodic(model, speeds=[speed], parameters=setting, signals=names, stability=False)
+            angle = measure(model, [], ANGLE, window=window, rate=THESIS_RATE, parameters=setting, closed=False)
+            motion = periodic(model, speeds=[speed], parameters=others, signals=names, stability=False)
         except RotorsimError as error:
             yield error
             continue

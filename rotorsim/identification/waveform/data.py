@@ -19,13 +19,13 @@ from rotorsim.identification.waveform.driven.equations import clock_ports, drive
 from rotorsim.identification.waveform.gaps import EVEN_SAMPLES
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import Channel, Recording, Run
+from rotorsim.signals.pickup import LINE_PERIODS
 from rotorsim.units import compatible
 
 RATE_PREFIX = "rate of "
 STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
 PIECEWISE_LINEAR = ("hold", "linear")  # of inputs, between samples
 SMOOTH_KIND = "smooth"  # kind of an input that goes between samples on a cubic spline
-LINE_PERIODS = 20.0  # of hum in a run: in fewer, it is not told from motion that passes
 SENSOR_DISTANCE = 1e-3  # m, between a sensor and the node that stands for it
 
 

@@ -260,13 +260,13 @@ def order_noise(
     """Return the variance of the real parts of each channel, as differences of the sixth order between rows show it.
 
     simulated: vectors of each run (n, c), taken away before: a resonance is sharp where rows are far apart. least: of
-    the rms of what varies; see `row_noise`. Raises RotorsimError where no channel has as many rows without a gap.
+    the rms of what varies. Raises RotorsimError where no channel has as many rows without a gap.
     """
     variance: dict[tuple[str, str], float] = {}
     for c, label in enumerate(tracked.labels):
         known = [0.0 if simulated is None else simulated[r][:, c] for r in range(len(tracked.tracks))]
         left = [track.vectors[:, c] - own for track, own in zip(tracked.tracks, known, strict=True)]
-        found = row_noise(left, 0.0)
+        found = row_noise(left)
         if found is None:
             what = f"no {DIFFERENCES + 1} rows without a gap: its noise is not known"
             raise RotorsimError(Problem(what, label))

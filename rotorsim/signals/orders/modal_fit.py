@@ -69,7 +69,7 @@ class PassedRun:
         names = [name for name, one in channels.items() if one.order == order and name in run.vectors]
         noise, floors = {}, {}
         for name in names:
-            found = row_noise([run.vectors[name]], 0.0)
+            found = row_noise([run.vectors[name]])
             if found is not None:
                 beside = [
                     run.vectors[k]

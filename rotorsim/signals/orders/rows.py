@@ -58,19 +58,18 @@ def row_times(run: OrderRun) -> RowTimes:
     return RowTimes(speed, angle, begin, end, middles, angle(middles) - half - angle(begin))
 
 
-def row_noise(runs: Sequence[np.ndarray], least: float) -> float | None:
+def row_noise(runs: Sequence[np.ndarray]) -> float | None:
     """Return the variance of the real parts of order vectors (n,) of runs, as sixth differences between rows show it.
 
     sum |d^6 Y|^2 / (2 C(12, 6) n): white noise gives its variance, smooth motion next to nothing. None where nowhere
-    are as many rows without a gap. least: see `row_floor`.
+    are as many rows without a gap.
     Source: J. von Neumann, Ann. Math. Stat. 12 (1941) 367, of higher order.
     """
     changes = np.concatenate([np.diff(y, DIFFERENCES) for y in runs]) if len(runs) else np.empty(0)
     changes = changes[np.isfinite(changes)]
     if not len(changes):
         return None
-    found = float((np.abs(changes) ** 2).sum()) / (2 * comb(2 * DIFFERENCES, DIFFERENCES) * len(changes))
-    return max(found, row_floor(runs, least), 1e-300)
+    return max(float((np.abs(changes) ** 2).sum()) / (2 * comb(2 * DIFFERENCES, DIFFERENCES) * len(changes)), 1e-300)
 
 
 def row_floor(runs: Sequence[np.ndarray], least: float) -> float:

@@ -1,5 +1,6 @@
 """Critical speeds of run-ups whose modes are known, integrated by another program."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -113,6 +114,28 @@ def test_two_modes_far_apart_are_found_with_slow_roll_between():
 def test_nothing_is_found_where_no_critical_speed_was_passed(hum):
     found, _ = _found(run_up([Mode(900.0, 0.03, E, -1j * E)], 60.0, 500.0, 5.0, noise=NOISE, hum=hum))
     assert found.found == ()
+
+
+@pytest.mark.parametrize(("duration", "hum"), [(4.0, 6e-7), (5.0, 1e-6), (8.0, 1e-5)])
+def test_hum_is_taken_out_and_makes_no_critical_speed_of_any_order(duration, hum):
+    """1X, 2X and 3X pass 50 Hz at 3000, 1500 and 1000 rpm."""
+    recording = run_up([FORWARD], 60.0, 500.0, duration, noise=NOISE, hum=hum)
+    orders, _ = tracked_recording(recording, [1, 2, 3])
+    [one], *others = (critical_speeds(orders.runs[0], orders.channels, order).found for order in (1, 2, 3))
+    assert one.peak.speed == pytest.approx(peak_of(300.0, 0.03).speed, rel=5e-4)
+    assert others == [(), ()]
+    [warning] = orders.warnings
+    said = re.fullmatch(
+        r"warning: run up: mains hum of 50.0 Hz is taken out of the orders: (\S+) m in x, (\S+) m in y, 0-peak",
+        str(warning),
+    )
+    assert [float(size) for size in said.groups()] == pytest.approx([hum, hum], rel=0.03)  # two digits are said
+
+
+def test_no_hum_is_seen_where_there_is_none():
+    for seed in range(10):
+        recording = run_up([FORWARD], 60.0, 500.0, 4.0, noise=2e-7, seed=seed)
+        assert tracked_recording(recording, [1])[0].warnings == ()
 
 
 def test_one_mode_that_splits_for_no_plane_stays_one():
