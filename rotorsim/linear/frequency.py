@@ -190,8 +190,8 @@ def sensitivity(
     values = at_frequency(hz)
     axes = np.abs(np.diagonal(values, axis1=1, axis2=2))
     singular = np.linalg.norm(values, 2, axis=(1, 2))
-    found = [_peak(hz, axes[:, j], lambda f, j=j: abs(at_frequency(f)[0, j, j])) for j in range(m)]
-    largest = _peak(hz, singular, lambda f: float(np.linalg.norm(at_frequency(f)[0], 2)))
+    found = [peak_between(hz, axes[:, j], lambda f, j=j: abs(at_frequency(f)[0, j, j])) for j in range(m)]
+    largest = peak_between(hz, singular, lambda f: float(np.linalg.norm(at_frequency(f)[0], 2)))
     stable = _stable(system)
     zones = tuple(zone_of(peak) if stable else "D" for _, peak in found)
     worst = max(range(m), key=lambda j: found[j][1])
@@ -245,7 +245,7 @@ def _grid(system: LinearSystem, speed: float) -> np.ndarray:
     return np.asarray(hz[(hz >= 1e-2) & (hz <= top)])
 
 
-def _peak(hz: np.ndarray, values: np.ndarray, function: Any) -> tuple[float, float]:
+def peak_between(hz: np.ndarray, values: np.ndarray, function: Any) -> tuple[float, float]:
     """Return the frequency and height of the largest value, refined between its neighbours on the grid."""
     k = int(np.argmax(values))
     low, high = hz[max(k - 1, 0)], hz[min(k + 1, len(hz) - 1)]
