@@ -61,7 +61,7 @@ def test_values_of_a_diagram_cannot_be_changed(jeffcott) -> None:
         assert str(again) == str(values)
 
 
-@pytest.mark.parametrize("name", ["simulate", "periodic", "modes", "campbell", "linearise", "sensitivity"])
+@pytest.mark.parametrize("name", ["simulate", "periodic", "modes", "campbell", "linearise", "margins"])
 def test_analyses_are_called_alike(name: str) -> None:
     """The diagram first, what it is analysed for by keyword: `parameters` among it."""
     parameters = inspect.signature(getattr(rotorsim, name)).parameters.values()

@@ -21,12 +21,11 @@ from matplotlib.figure import Figure
 
 from benchmarks.harness import ROOT, run_process
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.frequency import frequency_response, sensitivity, zone_of
-from rotorsim.model.compiled import Model, compile_diagram
+from rotorsim.linear.margins import margins
+from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
 from rotorsim.report.style import GREY, figure, styled
 from rotorsim.simulation.run import simulate
-from tests.systems.shipped import load_document
 
 MODELS = ("jeffcott", "offset_disc")
 CONTROLLERS = (
@@ -85,12 +84,8 @@ def judge(path: Path, controller: str) -> Row:
     displacement = np.linalg.norm(result["rotor.displacement"][window], axis=1)
     current = result["controller.current"][window]
     levitates = float(displacement.max()) < TOUCH_DOWN
-    if controller == "discrete_pid":
-        sensitivity_peak = sampled_sensitivity(model)
-        zone, note = zone_of(sensitivity_peak), "sensitivity without aliasing"
-    else:
-        found = sensitivity(model)
-        sensitivity_peak, zone, note = found.peak, found.zone, "" if found.stable else "unstable"
+    found = margins(model, "controller.current")
+    note = "" if found.stable else "unstable"
     return Row(
         controller,
         levitates and note != "unstable",
@@ -98,36 +93,10 @@ def judge(path: Path, controller: str) -> Row:
         rms=float(np.sqrt(np.mean(displacement**2))),
         peak_current=float(np.abs(current).max()),
         rms_current=float(np.sqrt(np.mean(current**2))),
-        sensitivity=sensitivity_peak,
-        zone=zone,
+        sensitivity=found.peak,
+        zone=found.zone,
         note=note,
     )
-
-
-def sampled_sensitivity(model: Model) -> float:
-    """Return the peak of |S_jj| of a loop with a sampled PID, velocity wired; aliasing neglected.
-
-    S = (I - L)^-1, L = z^-d H (KP + KI T / (1 - 1/z)) P + z^-d H KD i w P, z = exp(i w T),
-    hold H = (1 - 1/z) / (i w T), P from current to displacement with the loop open. The neglected images of P
-    are below (f T)^2 of P: the plant falls with f^2 and the sampling frequency is five times the highest f.
-    """
-    gains = {name: float(model.p0[model.parameters[f"controller.{name}"]][0]) for name in ("KP", "KI", "KD")}
-    period = float(model.p0[model.parameters["controller.sample_time"]][0])
-    delay = int(model.diagram.nodes["controller"].block.option.delay_samples)
-    plant = model.diagram
-    with_pid = json.loads(json.dumps(plant.document))
-    with_pid["blocks"]["controller"] = {"type": "pid"}
-    hz = np.geomspace(0.01, 2000.0, 40_000)
-    response = frequency_response(
-        load_document(with_pid), "controller.current", "rotor.displacement", frequencies=hz, open_loop=True
-    ).value
-    s = 2j * np.pi * hz
-    back = np.exp(-s * period)
-    law = gains["KP"] + gains["KI"] * period / (1 - back) + gains["KD"] * s
-    law *= back**delay * (1 - back) / (s * period)
-    loop = law[:, None, None] * response
-    sensitivities = np.linalg.inv(np.eye(2) - loop)
-    return float(np.abs(np.diagonal(sensitivities, axis1=1, axis2=2)).max())
 
 
 def measure() -> dict[str, list[Row]]:
@@ -150,8 +119,9 @@ def sensitivity_picture() -> Figure:
         made = figure(8.0, 3.8, "jeffcott: sensitivity with each controller, zones after ISO 14839-3")
         axes = made.add_subplot()
         for k, controller in enumerate(DRAWN):  # those that lie behind are wider
-            found = sensitivity(compile_diagram(load(swapped("jeffcott", controller, Path(folder)))), frequencies=HZ)
-            axes.semilogx(HZ, found.axes.max(axis=1), lw=4.5 - 0.8 * k, label=f"{controller}, peak {found.peak:.2f}")
+            found = margins(load(swapped("jeffcott", controller, Path(folder))), "controller.current", frequencies=HZ)
+            largest = np.abs(np.diagonal(found.sensitivity, axis1=1, axis2=2)).max(axis=1)
+            axes.semilogx(HZ, largest, lw=4.5 - 0.8 * k, label=f"{controller}, peak {found.peak:.2f}")
         for limit, name in ((3, "A"), (4, "B"), (5, "C")):
             axes.axhline(limit, color=GREY, lw=0.8, ls="--")
             axes.annotate(

@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.cosim.inputs import InputHistory
-from rotorsim.cosim.linear_model import LinearModel, linear_part
 from rotorsim.cosim.loop import PartMember
 from rotorsim.cosim.participant import Participant
+from rotorsim.linear.linear_model import LinearModel, linear_part
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.model.instance import CompiledInstance, Instance, make_instance
 from rotorsim.model.part import Part

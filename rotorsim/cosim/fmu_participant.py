@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from rotorsim.cosim.inputs import Held, InputHistory, Polynomial
-from rotorsim.cosim.linear_model import LinearModel
 from rotorsim.cosim.participant import Participant
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.description.model import FLOATS, ModelDescription
@@ -20,6 +19,7 @@ from rotorsim.fmi.runtime.binding import CallError
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.model_exchange import SAVED_STATES, ModelExchange
 from rotorsim.fmi.runtime.slave import Fmu, Slave
+from rotorsim.linear.linear_model import LinearModel
 from rotorsim.linear.linearisation import entry_names
 
 MOST_INTERNAL_STEPS = 10_000  # of Model Exchange, in one step

@@ -10,8 +10,8 @@ from scipy.linalg import block_diag, expm
 
 from rotorsim.cosim.coupling import Coupling
 from rotorsim.cosim.inputs import InputHistory
-from rotorsim.cosim.linear_model import HIT, LinearModel
 from rotorsim.cosim.participant import Participant
+from rotorsim.linear.linear_model import HIT, LinearModel
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 

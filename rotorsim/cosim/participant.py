@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from rotorsim.cosim.inputs import InputHistory
-from rotorsim.cosim.linear_model import LinearModel
 from rotorsim.cosim.loop import LoopMember
 from rotorsim.errors import RotorsimError
+from rotorsim.linear.linear_model import LinearModel
 
 
 class Participant(ABC):

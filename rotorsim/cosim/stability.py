@@ -19,13 +19,13 @@ from scipy.linalg import block_diag
 from rotorsim.cosim.coupling import Coupling
 from rotorsim.cosim.inputs import Held
 from rotorsim.cosim.linear import LinearCoupling, LinearParticipant
-from rotorsim.cosim.linear_model import LinearModel
 from rotorsim.cosim.masters.choice import make_stepping_master
 from rotorsim.cosim.masters.master import Settings
 from rotorsim.cosim.masters.stepping import STEP_HIT_TOLERANCE, SteppingMaster
 from rotorsim.cosim.participant import Participant
 from rotorsim.errors import RotorsimError
 from rotorsim.jobs.threads import one_thread
+from rotorsim.linear.linear_model import LinearModel
 
 LEAST_OSCILLATION = 0.05  # modes with a smaller part of oscillation are not judged by their damping ratio
 STEPS_PER_DECADE = 12  # steps tried in a decade

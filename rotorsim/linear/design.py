@@ -7,8 +7,8 @@ from scipy.linalg import schur, solve_continuous_are, solve_sylvester
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.frequency import controller_output
 from rotorsim.linear.linearisation import LinearSystem, linearise
+from rotorsim.linear.loop import controller_output
 from rotorsim.linear.state_space import StateSpace, reached
 from rotorsim.model.compiled import Model
 

@@ -14,7 +14,6 @@ import numpy as np
 from rotorsim.block import Shape, size_of
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.held import HeldSystem, common_period
 from rotorsim.linear.state_space import StateSpace, reached
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.linearity import jacobian
@@ -342,58 +341,6 @@ def linearise(
         x=x,
         notes=tuple(notes),
         provenance=provenance(model, parameters, "linearise"),
-    )
-
-
-def linearise_held(
-    model: Model, *, parameters: Mapping[str, Any] | None = None, inputs: Sequence[str], outputs: Sequence[str]
-) -> HeldSystem:
-    """Return the linear system of a diagram with sampled blocks between the external inputs of a model and signals.
-
-    Raises RotorsimError where the equations or what a hit does are not affine in states and inputs (an operating point
-    between hits is not looked for), and for periods without a common multiple.
-    """
-    trace = model.trace
-    p = model.parameter_vector(parameters)
-    s, v = ca.vertcat(trace.x, trace.z), trace.v
-    y = ca.vertcat(*[model.expression(name) for name in outputs])
-    rate, after = ca.vertcat(trace.xdot, ca.SX.zeros(*trace.z.shape)), ca.vertcat(trace.x, trace.z_next)
-    slopes = [jacobian(of, by) for of in (rate, y, after) for by in (s, v)]
-    curved = [
-        model.block_of_state(k) for k in range(model.n_x) if ca.depends_on(jacobian(rate[k], s), ca.vertcat(s, v))
-    ]
-    if any(ca.depends_on(slope, ca.vertcat(s, v)) for slope in slopes):
-        subject = next(iter(curved), next(sampler.block for sampler in trace.samplers))
-        hint = "use the linear block ('amb' for 'amb_nonlinear'), or a continuous controller (`rotorsim swap`)"
-        raise RotorsimError(
-            Problem("beside sampled blocks only linear ones have a frequency response", subject, hint=hint)
-        )
-    common = common_period(tuple(float(p[sampler.period]) for sampler in trace.samplers))
-    if common is None:
-        blocks = ", ".join(sampler.block for sampler in trace.samplers)
-        raise RotorsimError(Problem("sample times without a common multiple of at most 10000 hits", blocks))
-    arguments = [trace.t, trace.p, trace.hit]
-    evaluate = ca.Function("slopes", [*arguments, s, v, trace.w], [ca.densify(slope) for slope in slopes])
-    shapes = [(of.numel(), by.numel()) for of in (rate, y, after) for by in (s, v)]
-    times = _instants(model, p) if ca.depends_on(ca.vertcat(*map(ca.vec, slopes)), trace.t) else np.zeros(1)
-
-    def at(due: tuple[int, ...]) -> list[np.ndarray]:
-        hit = np.isin(np.arange(len(trace.samplers)), due).astype(float)
-        rest = (np.zeros(s.numel()), np.zeros(v.numel()), np.zeros(trace.w.numel()))
-        found = [[np.array(m.full()) for m in evaluate(t, p, hit, *rest)] for t in times]
-        return [
-            np.mean(parts, axis=0).reshape(shape) for parts, shape in zip(zip(*found, strict=True), shapes, strict=True)
-        ]
-
-    period, hits = common
-    A, B, C, D, *_ = at(())
-    require_finite(model, A[: model.n_x, : model.n_x])
-    jumps = {due: tuple(at(due)[4:]) for _, due in hits}
-    return HeldSystem(
-        StateSpace(A, B, C, D),
-        tuple(t for t, _ in hits),
-        tuple((jumps[due][0], jumps[due][1]) for _, due in hits),
-        period,
     )
 
 

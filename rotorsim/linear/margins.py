@@ -3,33 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from math import factorial
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.linear.frequency import LARGEST_FREQUENCY, peak_between, zone_of
-from rotorsim.linear.held import HeldSystem
-from rotorsim.linear.linearisation import (
-    LinearSystem,
-    as_model,
-    entry_names,
-    linearise,
-    linearise_held,
-    provenance,
-    speed_of,
-)
-from rotorsim.linear.stability import growing
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.linear.linearisation import provenance, speed_of
+from rotorsim.linear.loop import Loop, injections, open_loop_of, sensor_ports
 from rotorsim.model.compiled import Model
 
-LOWEST_FREQUENCY = 0.01  # Hz
-SENSOR, RATE = "displacement", "velocity"  # input ports of a controller: one sensor signal, and what is made of it
 STANDARD = "ISO 14839-3:2006"
+ZONES = ((3.0, "A"), (4.0, "B"), (5.0, "C"))  # ISO 14839-3:2006, table 1: 9.5 dB, 12 dB, 14 dB
+LARGEST_FREQUENCY = 2000.0  # Hz; ISO 14839-3 looks up to three times the rated speed or 2 kHz, the larger
+LOWEST_FREQUENCY = 0.01  # Hz
+LARGEST_GAIN = 1e4  # factor of the loop gain up to which a limit of stability is looked for, and down to its inverse
+GAIN_STEP = 1.1  # from one factor tried to the next; 0.8 dB
+WELL_ABOVE = 10.0  # times the largest pole, where every loop has fallen
 
 
 @dataclass(frozen=True)
@@ -37,22 +30,23 @@ class Axis:
     """Margins of one axis, the loops of the others closed.
 
     peak of |S_jj|, at frequency [Hz], zone. gain_up, gain_down: factors of the loop gain, above and below 1, that bring
-    it to the limit of stability (inf, 0: none does); phase [deg] and delay [s] likewise, nan without |G_o| = 1; with
-    the frequencies [Hz] of these crossings.
+    the loop to the limit of stability (inf, 0: none within 10^4); phase [deg] and delay [s]: the least change of phase,
+    and the least lag as a delay, that do so (nan where |G_o| is nowhere 1); with the frequencies [Hz] of the motion at
+    that limit. All numbers are nan for a loop that is not stable.
     """
 
     name: str
     peak: float
     frequency: float
     zone: str
-    gain_up: float
-    gain_up_frequency: float
-    gain_down: float
-    gain_down_frequency: float
-    phase: float
-    phase_frequency: float
-    delay: float
-    delay_frequency: float
+    gain_up: float = np.nan
+    gain_up_frequency: float = np.nan
+    gain_down: float = np.nan
+    gain_down_frequency: float = np.nan
+    phase: float = np.nan
+    phase_frequency: float = np.nan
+    delay: float = np.nan
+    delay_frequency: float = np.nan
 
 
 @dataclass(frozen=True, repr=False)
@@ -61,7 +55,7 @@ class Margins(Shown):
 
     frequencies (n,) [Hz]; sensitivity (n, m, m): S, V1 = S E where E is added to a signal V2 and V1 is what goes on.
     singular (n,): largest singular value of S, nan where axes have several units; singular_peak: the largest of all.
-    stable: of the closed loop; an unstable one has no margins and is zone "D".
+    stable: of the closed loop; one that is not has no margins and is zone "D". sampled: it has sampled blocks.
     """
 
     frequencies: np.ndarray
@@ -70,7 +64,6 @@ class Margins(Shown):
     singular: np.ndarray
     singular_peak: float
     singular_peak_frequency: float
-    highest_frequency: float
     stable: bool
     sampled: bool
     notes: tuple[str, ...] = ()
@@ -83,8 +76,11 @@ class Margins(Shown):
 
     @property
     def worst(self) -> Axis:
-        """The axis with the largest peak, which the standard judges."""
-        return max(self.axes, key=lambda axis: axis.peak)
+        """The axis with the largest peak, which the standard judges; the first of those that are alike to rounding."""
+        if not self.stable:
+            return self.axes[0]
+        largest = max(axis.peak for axis in self.axes)
+        return next(axis for axis in self.axes if axis.peak >= largest * (1 - 1e-9))
 
     @property
     def peak(self) -> float:
@@ -107,7 +103,7 @@ class Margins(Shown):
 
     def open_loop(self) -> np.ndarray:
         """Return G_o = 1 / S_jj - 1 of every axis, the other loops closed, shape (n, m): V2 = -G_o V1."""
-        return np.asarray(1 / np.diagonal(self.sensitivity, axis1=1, axis2=2) - 1)
+        return np.asarray(open_loop_of(np.diagonal(self.sensitivity, axis1=1, axis2=2)))
 
     def open_loop_matrix(self) -> np.ndarray:
         """Return G_o = S^-1 - I, shape (n, m, m)."""
@@ -116,6 +112,14 @@ class Margins(Shown):
     def closed_loop(self) -> np.ndarray:
         """Return G_c = I - S, shape (n, m, m): V2 = -G_c E."""
         return np.asarray(np.eye(self.sensitivity.shape[1]) - self.sensitivity)
+
+
+def zone_of(peak: float) -> str:
+    """Return the zone of a peak sensitivity: A below 3 (9.5 dB), B below 4 (12 dB), C below 5 (14 dB), else D.
+
+    Source: ISO 14839-3:2006, Evaluation of stability margin, table 1.
+    """
+    return next((zone for limit, zone in ZONES if peak < limit), "D")
 
 
 def margins(
@@ -128,226 +132,157 @@ def margins(
     """Return sensitivity, open and closed loop and margins of every bearing axis, after ISO 14839-3.
 
     A signal E is added to V2, V1 = V2 + E goes on: S = V1/E, G_o = -V2/V1 = 1/S - 1, G_c = -V2/E = 1 - S. Each axis is
-    judged by |S_jj| with the other axes closed, as measured on a machine. at: input ports (``controller.displacement``,
-    default: of every controller), or output ports (``controller.current``). With the displacement of a controller its
-    wired velocity is disturbed by dE/dt, as of a rate that is made of the sensor's signal. frequencies [Hz]: default
-    from 0.01 Hz to the larger of 2 kHz and three times the speed, as the standard asks. A loop with sampled blocks has
-    its exact response at the frequency injected (`linear.held`), and gains at which its multipliers reach 1.
+    judged by |S_jj| with the other axes closed, as measured on a machine, from 0.01 Hz to the larger of 2 kHz and three
+    times the speed, as the standard asks. at: input ports (``controller.displacement``, default: of every controller),
+    or output ports (``controller.current``). With the displacement of a controller its wired velocity is disturbed by
+    dE/dt, as of a rate that is made of the sensor's signal. frequencies [Hz]: those of the curves; default: a grid that
+    misses no peak. A loop with sampled blocks has its exact response at the frequency injected.
 
     Raises RotorsimError for ports that do not exist or that no loop passes through, and as `linearise`.
     Source: ISO 14839-3:2006, Evaluation of stability margin.
     """
     drawn = diagram.diagram if isinstance(diagram, Model) else diagram
-    ports = [at] if isinstance(at, str) else list(at)
-    taps = [tap for port in ports or sensor_ports(drawn) for tap in _taps(drawn, port)]
-    injected = [port for port, _, _ in taps]
-    outputs = [signal for _, signals, _ in taps for signal in signals]
-    sizes = [len(signals) for _, signals, _ in taps]
-    model = as_model(diagram, inject=injected)
-    speed = speed_of(model, model.parameter_vector(parameters)) or 0.0
-    system: LinearSystem | HeldSystem
-    notes: tuple[str, ...] = ()
-    if model.n_z:
-        system = linearise_held(model, parameters=parameters, inputs=injected, outputs=outputs)
-        stable = bool((np.abs(system.multipliers()) <= 1 + 1e-9).all())
-        flow = system.flow.poles()
-    else:
-        system = linearise(model, parameters=parameters, inputs=injected, outputs=outputs)
-        stable, flow, notes = not growing(system.A), system.poles(), system.notes
-    column = np.cumsum([0, *sizes])
-    is_rate = np.repeat([rate for _, _, rate in taps], sizes)
-    place = np.flatnonzero(~is_rate)  # of each axis among inputs and outputs
-    pairs = _rates(taps, column)  # of a rate -> of its axis
-
-    def sensitivity(f: Any) -> np.ndarray:
-        f = np.atleast_1d(np.asarray(f, float))
-        found = system.response(f)
-        drive = np.repeat(np.eye(int(column[-1]))[None, :, place].astype(complex), len(f), 0)
-        for rate, displacement in pairs.items():
-            drive[:, rate, int(np.searchsorted(place, displacement))] = 2j * np.pi * f
-        return np.asarray((found @ drive)[:, place] + np.eye(len(place)))
-
+    ports = [at] if isinstance(at, str) else list(dict.fromkeys(at))
+    loop = Loop(diagram, injections(drawn, ports or sensor_ports(drawn)), parameters)
+    speed = speed_of(loop.model, loop.model.parameter_vector(parameters)) or 0.0
     top = max(LARGEST_FREQUENCY, 3 * abs(speed) / (2 * np.pi))
-    hz = _grid(np.concatenate([system.poles(), flow]), top) if frequencies is None else _checked(frequencies)
-    S = sensitivity(hz)
-    diagonal = np.abs(np.diagonal(S, axis1=1, axis2=2))
-    dead = [k for k in range(len(place)) if np.abs(diagonal[:, k] - 1).max(initial=0.0) < 1e-12]
-    names = [name for port, _, rate in taps if not rate for name in _names(model, port)]
-    if dead:
-        hint = "name a port of the loop with --at: a controller's sensor signal, or its output"
-        raise RotorsimError(*(Problem("no loop passes through this port", names[k], hint=hint) for k in dead))
-
-    def entry(k: int) -> Callable[[float], complex]:
-        return lambda f: complex(sensitivity(f)[0, k, k])
-
-    axes = tuple(_axis(name, hz, S[:, k, k], entry(k), stable) for k, name in enumerate(names))
-    if isinstance(system, HeldSystem) and stable:
-        with_rates = [[int(place[k]), *(r for r, d in pairs.items() if d == place[k])] for k in range(len(place))]
-        axes = tuple(_exact_gains(axis, system, wires) for axis, wires in zip(axes, with_rates, strict=True))
-    alike = len({model.trace.external[port].unit for port, _, rate in taps if not rate}) == 1
-    singular = np.linalg.norm(S, 2, axis=(1, 2)) if alike else np.full(len(hz), np.nan)
-    largest = (
-        peak_between(hz, singular, lambda f: float(np.linalg.norm(sensitivity(f)[0], 2))) if alike else (np.nan, np.nan)
-    )
+    hz, S = _judged(loop, top)
+    diagonal = np.diagonal(S, axis1=1, axis2=2)
+    if dead := np.flatnonzero(np.abs(diagonal - 1).max(axis=0) < 1e-12).tolist():
+        hint = "name a port of the loop: the sensor's signal of a controller, or its output"
+        raise RotorsimError(*(Problem("no loop passes through this port", loop.axes[k].name, hint=hint) for k in dead))
+    axes = tuple(_axis(loop, k, hz, diagonal[:, k], top) for k in range(len(loop.axes)))
+    within = hz <= top
+    singular_peak = np.nan, np.nan
+    if loop.one_unit and loop.is_stable():
+        singular_peak = _peak(hz[within], _largest(S[within]), lambda f: float(_largest(loop.sensitivity(f))[0]))
+    shown, values = (hz[within], S[within]) if frequencies is None else _curves(loop, frequencies)
     return Margins(
-        frequencies=hz,
-        sensitivity=S,
+        frequencies=shown,
+        sensitivity=values,
         axes=axes,
-        singular=singular,
-        singular_peak=largest[1],
-        singular_peak_frequency=largest[0],
-        highest_frequency=top,
-        stable=stable,
-        sampled=bool(model.n_z),
-        notes=(*notes, *_approximations(drawn, top)),
-        provenance=provenance(model, parameters, "margins"),
+        singular=_largest(values) if loop.one_unit else np.full(len(shown), np.nan),
+        singular_peak=singular_peak[1],
+        singular_peak_frequency=singular_peak[0],
+        stable=loop.is_stable(),
+        sampled=loop.is_sampled,
+        notes=(*loop.notes(top), *_beyond(axes, hz, diagonal, top)),
+        provenance=provenance(loop.model, parameters, "margins"),
     )
 
 
-def sensor_ports(diagram: Diagram) -> list[str]:
-    """Return the sensor signals of all controllers: their input ports ``displacement`` that something feeds."""
-    fed = {(wire.target.block, wire.target.port) for wire in diagram.wires}
-    blocks = [name for name, node in diagram.nodes.items() if node.block.category == "controller"]
-    found = [f"{name}.{SENSOR}" for name in blocks if (name, SENSOR) in fed]
-    if not found:
-        hint = "name the ports of its bearing loops with --at: a sensor signal (gain.input) or an output (gain.output)"
-        raise RotorsimError(Problem("no controller with a wired input 'displacement'", diagram.name, hint=hint))
-    return found
+def _beyond(axes: Sequence[Axis], hz: np.ndarray, S: np.ndarray, top: float) -> list[str]:
+    """Return the axes whose |S| is in a worse zone above the frequencies that the standard judges."""
+    said = []
+    for axis, values in zip(axes, np.abs(S[hz > top]).T, strict=True):
+        if len(values) and np.isfinite(axis.peak) and zone_of(float(values.max())) > axis.zone:
+            where = hz[hz > top][int(np.argmax(values))]
+            beyond = f"above the {top:.4g} Hz that ISO 14839-3 judges"
+            said.append(f"'{axis.name}': |S| is {values.max():.3g} at {where:.4g} Hz, {beyond}")
+    return said
 
 
-def _taps(diagram: Diagram, port: str) -> list[tuple[str, list[str], bool]]:
-    """Return what is injected for a port: (port, names of the entries that arrive there, whether it is a rate)."""
-    block, _, name = port.rpartition(".")
-    node = diagram.nodes.get(block)
-    if node is None:
-        hint = near_miss(block, diagram.nodes)
-        raise RotorsimError(Problem("no such block", block or port, hint=hint))
-    if name in node.outputs:
-        return [(port, [port] if not node.outputs[name].shape else entry_names(port, node.outputs[name].shape), False)]
-    if name not in node.inputs:
-        hint = near_miss(name, [*node.inputs, *node.outputs])
-        raise RotorsimError(Problem("no such port", port, hint=hint))
-    signals = _arriving(diagram, block, name)
-    if signals is None:
-        hint = "every entry needs one wire; or name the output port that feeds it"
-        raise RotorsimError(Problem("not every entry of this input is a signal of its own", port, hint=hint))
-    taps = [(port, signals, False)]
-    rate = _arriving(diagram, block, RATE) if name == SENSOR and RATE in node.inputs else None
-    if rate is not None:
-        taps.append((f"{block}.{RATE}", rate, True))
-    return taps
-
-
-def _arriving(diagram: Diagram, block: str, port: str) -> list[str] | None:
-    """Return the name of the signal that arrives at each entry of an input port; None where one has none or several."""
-    shape = diagram.nodes[block].inputs[port].shape
-    entries = np.empty(shape or (1,), object)
-    for wire in diagram.wires:
-        if (wire.target.block, wire.target.port) != (block, port):
-            continue
-        source = diagram.nodes[wire.source.block].outputs[wire.source.port]
-        whole = np.array(entry_names(f"{wire.source.block}.{wire.source.port}", source.shape), object)
-        names = whole.reshape(source.shape or (1,))[wire.source.index]
-        part = entries[wire.target.index] if shape else entries
-        if np.any(part != None):  # noqa: E711 (entry by entry)
-            return None
-        entries[wire.target.index if shape else ...] = names
-    flat = entries.ravel().tolist()
-    return None if None in flat else flat
-
-
-def _rates(taps: Sequence[tuple[str, list[str], bool]], column: np.ndarray) -> dict[int, int]:
-    """Return the entry of each rate among all inputs -> that of its displacement, which stands right before it."""
-    pairs: dict[int, int] = {}
-    for k, (_, signals, rate) in enumerate(taps):
-        if rate:
-            pairs |= {int(column[k]) + j: int(column[k - 1]) + j for j in range(len(signals))}
-    return pairs
-
-
-def _names(model: Model, port: str) -> list[str]:
-    return entry_names(port, model.trace.external[port].shape)
-
-
-def _checked(frequencies: Sequence[float] | np.ndarray) -> np.ndarray:
-    hz = np.unique(np.asarray(frequencies, float).ravel())
+def _curves(loop: Loop, frequencies: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    hz = np.atleast_1d(np.asarray(frequencies, float)).ravel()
     if not (len(hz) and np.isfinite(hz).all() and (hz > 0).all()):
         raise RotorsimError(Problem(what="frequencies must be positive and finite [Hz]", subject="frequencies"))
-    return hz
+    return hz, loop.sensitivity(hz)
 
 
-def _approximations(diagram: Diagram, top: float) -> tuple[str, ...]:
-    """Return what is said of delays whose Pade approximation is off by more than 1 % of the signal at a frequency.
+def _judged(loop: Loop, top: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequencies [Hz] that miss no peak and no crossing, logarithmic and clustered at every pole, and S there.
 
-    |H - exp(-j w T)| = (n!)^2 / ((2n)! (2n + 1)!) (w T)^(2n + 1), of the block ``delay``.
+    They reach beyond what the standard judges: a loop may have its margins there.
     """
+    poles = loop.poles()
+    highest = max(top, WELL_ABOVE * float(np.abs(poles).max(initial=0.0)) / (2 * np.pi))
+    if loop.is_sampled:  # above half of the fastest rate the response at one frequency tells no margin
+        highest = max(top, loop.fastest_rate / 2)
+    width = np.abs(poles.real) / (2 * np.pi)
+    near = (np.abs(poles.imag) / (2 * np.pi))[:, None] + width[:, None] * np.linspace(-3, 3, 13)
+    count = round(120 * np.log10(highest / LOWEST_FREQUENCY))
+    hz = np.unique(np.concatenate([np.geomspace(LOWEST_FREQUENCY, highest, count), [top], near.ravel()]))
+    hz = hz[(hz >= LOWEST_FREQUENCY) & (hz <= highest)]
+    return hz, loop.sensitivity(hz)
 
-    said = []
-    for name, node in diagram.nodes.items():
-        if "delay" in node.values and hasattr(node.block.option, "order"):
-            n, angle = int(node.block.option.order), 2 * np.pi * top * float(np.max(node.values["delay"]))
-            error = min(factorial(n) ** 2 / (factorial(2 * n) * factorial(2 * n + 1)) * angle ** (2 * n + 1), 2.0)
-            if error > 0.01:
-                said.append(f"'{name}': its Pade approximation is off by {error:.2g} of the signal at {top:.0f} Hz")
-    return tuple(said)
+
+def _axis(loop: Loop, k: int, hz: np.ndarray, S: np.ndarray, top: float) -> Axis:
+    """Return peak and margins of one axis from S_kk on a grid, and in between."""
+    if not loop.is_stable():
+        return Axis(loop.axes[k].name, np.nan, np.nan, "D")
+    within = hz <= top
+    frequency, peak = _peak(hz[within], np.abs(S[within]), lambda f: float(abs(loop.sensitivity(f)[0, k, k])))
+    open_loop = open_loop_of(S)
+
+    def excess(f: float) -> float:
+        return float(np.log(abs(open_loop_of(loop.sensitivity(f)[0, k, k]))))
+
+    with np.errstate(divide="ignore"):
+        unity = _roots(hz, np.log(np.abs(open_loop)), excess)
+    lags = [(float(np.degrees(np.angle(-open_loop_of(loop.sensitivity(f)[0, k, k])))), f) for f in unity]
+    phase = min(((abs(lag), f) for lag, f in lags), default=(np.nan, np.nan))
+    delay = min(((lag % 360 / 360 / f, f) for lag, f in lags), default=(np.nan, np.nan))
+    up, down = _gain_limit(loop, k, GAIN_STEP), _gain_limit(loop, k, 1 / GAIN_STEP)
+    return Axis(loop.axes[k].name, peak, frequency, zone_of(peak), *up, *down, *phase, *delay)
 
 
-def _axis(name: str, hz: np.ndarray, S: np.ndarray, function: Callable[[float], complex], stable: bool) -> Axis:
-    """Return peak and margins of one axis from S on a grid and S(f) in between."""
-    frequency, peak = peak_between(hz, np.abs(S), lambda f: abs(function(f)))
-    nan = float("nan")
-    if not stable:
-        return Axis(name, peak, frequency, "D", nan, nan, nan, nan, nan, nan, nan, nan)
-    G = 1 / S - 1
-    real = _roots(hz, G.imag, lambda f: (1 / function(f) - 1).imag)
-    factors = [(-1 / (1 / function(f) - 1).real, f) for f in real if (1 / function(f) - 1).real < -1e-9]
-    up = min((pair for pair in factors if pair[0] > 1), default=(np.inf, nan))
-    down = max((pair for pair in factors if pair[0] < 1), default=(0.0, nan))
-    unity = _roots(hz, np.log(np.abs(G)), lambda f: float(np.log(abs(1 / function(f) - 1))))
-    angles = [(float(np.degrees(np.angle(-(1 / function(f) - 1)))), f) for f in unity]  # beyond -180 degrees
-    phase = min(((abs(angle), f) for angle, f in angles), default=(nan, nan))
-    delay = min(((angle % 360 / 360 / f, f) for angle, f in angles), default=(nan, nan))
-    return Axis(name, peak, frequency, zone_of(peak), *up, *down, *phase, *delay)
+def _gain_limit(loop: Loop, k: int, step: float) -> tuple[float, float]:
+    """Return the gain nearest to 1 beyond which the loop is unstable, and the frequency [Hz] of what grows there.
+
+    From eigenvalues of the closed loop with this gain, which also hold where sampling makes images of the signal.
+    """
+    inside = 1.0
+    for gain in step ** np.arange(1, int(np.log(LARGEST_GAIN) / abs(np.log(step))) + 1):
+        if not loop.is_stable(float(gain), k):
+            outside = float(gain)
+            while abs(outside / inside - 1) > 1e-10:
+                middle = float(np.sqrt(inside * outside))
+                inside, outside = (middle, outside) if loop.is_stable(middle, k) else (inside, middle)
+            return _refined(loop, k, outside, loop.growing_frequency(outside, k))
+        inside = float(gain)
+    return (np.inf if step > 1 else 0.0), np.nan
+
+
+def _refined(loop: Loop, k: int, gain: float, frequency: float) -> tuple[float, float]:
+    """Return a limit of the gain, and its frequency, at which G_o is real: G_o = -1 / gain.
+
+    Growth is told from rounding only a little beyond the limit. Not where samples make images, or nothing oscillates.
+    """
+    if loop.is_sampled or frequency == 0.0:
+        return gain, frequency
+
+    def open_loop(f: float) -> complex:
+        return complex(open_loop_of(loop.sensitivity(f)[0, k, k]))
+
+    ends = frequency / 1.1, frequency * 1.1
+    if open_loop(ends[0]).imag * open_loop(ends[1]).imag >= 0:
+        return gain, frequency
+    exact = float(brentq(lambda f: open_loop(f).imag, *ends, rtol=1e-14))
+    refined = -1 / open_loop(exact).real
+    return (refined, exact) if abs(refined / gain - 1) < 0.01 else (gain, frequency)
 
 
 def _roots(hz: np.ndarray, values: np.ndarray, function: Callable[[float], float]) -> list[float]:
     """Return where a function vanishes between points of a grid at which its sign changes."""
     usable = np.isfinite(values)
     hz, values = hz[usable], values[usable]
-    found = []
-    for k in np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0):
-        found.append(float(brentq(function, hz[k], hz[k + 1], xtol=1e-12 * hz[k], rtol=1e-14)))
+    crossed = np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0)
+    found = [float(brentq(function, hz[k], hz[k + 1], xtol=1e-12 * hz[k], rtol=1e-14)) for k in crossed]
     return [*found, *hz[values == 0].tolist()]
 
 
-def _exact_gains(axis: Axis, system: HeldSystem, wires: list[int]) -> Axis:
-    """Return an axis with the gains at which a multiplier reaches 1, next to those of the response.
-
-    What a hit reads holds images of the signal, too: a loop gain at one frequency does not tell the limit exactly.
-    """
-
-    def growth(gain: float) -> float:
-        return float(np.abs(system.with_gain(gain, wires).multipliers()).max()) - 1 - 1e-9
-
-    up, down = _limit(growth, axis.gain_up), _limit(growth, axis.gain_down)
-    return replace(axis, gain_up=up, gain_down=down)
+def _largest(S: np.ndarray) -> np.ndarray:
+    """Return the largest singular values of matrices (n, m, m)."""
+    return np.asarray(np.linalg.norm(S, 2, axis=(1, 2)))
 
 
-def _limit(growth: Callable[[float], float], near: float) -> float:
-    """Return the gain nearest to 1 at which a loop that is stable at 1 is no longer, beginning at an estimate."""
-    if not 0 < near < np.inf:
-        return near
-    inside, step = 1.0, near ** (1 / 16)  # sixteenths of the way, and as many beyond
-    for k in range(1, 33):
-        if growth(step**k) > 0:
-            return float(brentq(growth, inside, step**k, rtol=1e-12))
-        inside = step**k
-    return np.inf if near > 1 else 0.0
-
-
-def _grid(poles: np.ndarray, top: float) -> np.ndarray:
-    """Return frequencies [Hz] that miss no peak: logarithmic, and clustered at every pole's frequency."""
-    width = np.abs(poles.real) / (2 * np.pi)
-    near = (np.abs(poles.imag) / (2 * np.pi))[:, None] + width[:, None] * np.linspace(-3, 3, 13)
-    hz = np.unique(np.concatenate([np.geomspace(LOWEST_FREQUENCY, top, 600), near.ravel()]))
-    return np.asarray(hz[(hz >= LOWEST_FREQUENCY) & (hz <= top)])
+def _peak(hz: np.ndarray, values: np.ndarray, function: Callable[[float], float]) -> tuple[float, float]:
+    """Return the frequency and height of the largest value, refined between its neighbours on the grid."""
+    k = int(np.argmax(values))
+    low, high = hz[max(k - 1, 0)], hz[min(k + 1, len(hz) - 1)]
+    if high <= low:
+        return float(hz[k]), float(values[k])
+    options = {"xatol": 1e-9 * high}
+    found = minimize_scalar(lambda f: -function(f), bounds=(low, high), method="bounded", options=options)
+    best = (float(found.x), float(-found.fun))
+    return best if best[1] >= values[k] else (float(hz[k]), float(values[k]))

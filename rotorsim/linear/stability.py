@@ -46,19 +46,39 @@ class Growing:
 
 
 def growing(A: np.ndarray) -> Growing:
-    """Return the poles of d x/dt = A x, A (n, n), that grow.
-
-    A computed eigenvalue is exact for a matrix within about n eps |A| of the (balanced) one, which moves it by
-    kappa n eps |A|, kappa = |l| |r| / |l^H r| (left and right vectors): what lies within ten times that of the
-    imaginary axis may be there but for rounding, such as the double zero of a free body (kappa is infinite).
-    Source: Golub & Van Loan, Matrix Computations (2013), sec. 7.2.2; LAPACK Users' Guide, sec. 4.8.
-    """
+    """Return the poles of d x/dt = A x, A (n, n), that grow, but for rounding (see `_uncertain`)."""
     n = len(A)
     nothing = Growing(np.zeros(0, complex), np.zeros(n))
     if n == 0 or not np.isfinite(A).all():
         return nothing
     if not (np.linalg.eigvals(A).real > 0).any():  # LAPACK balances, too
         return nothing
+    values, left, right, rounding = _uncertain(A)
+    kept = np.flatnonzero((values.real > rounding) & (values.imag >= 0))
+    if not len(kept):
+        return nothing
+    kept = kept[np.argsort(-values.real[kept], kind="stable")]
+    share = np.abs(left[:, kept[0]] * right[:, kept[0]])
+    return Growing(values[kept], share / share.sum())
+
+
+def growing_multipliers(M: np.ndarray) -> np.ndarray:
+    """Return the eigenvalues of x_(k+1) = M x_k, M (n, n), outside the unit circle but for rounding, largest first."""
+    if not len(M) or not (np.abs(np.linalg.eigvals(M)) > 1).any():
+        return np.zeros(0, complex)
+    values, _, _, rounding = _uncertain(M)
+    found = values[np.abs(values) > 1 + rounding]
+    return np.asarray(found[np.argsort(-np.abs(found), kind="stable")])
+
+
+def _uncertain(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return eigenvalues, left and right vectors of a balanced matrix, and by how much rounding may move each value.
+
+    A computed eigenvalue is exact for a matrix within about n eps |A| of the (balanced) one, which moves it by
+    kappa n eps |A|, kappa = |l| |r| / |l^H r| (left and right vectors): what lies within ten times that of the
+    limit of stability may be there but for rounding, such as the double zero of a free body (kappa is infinite).
+    Source: Golub & Van Loan, Matrix Computations (2013), sec. 7.2.2; LAPACK Users' Guide, sec. 4.8.
+    """
     from scipy.linalg import eig, matrix_balance  # as long to load as a short run takes
 
     balanced = matrix_balance(A, permute=False)[0]
@@ -66,12 +86,7 @@ def growing(A: np.ndarray) -> Growing:
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
     with np.errstate(divide="ignore"):
         kappa = np.linalg.norm(left, axis=0) * np.linalg.norm(right, axis=0) / overlap
-    kept = np.flatnonzero((values.real > 10 * n * EPS * np.linalg.norm(balanced) * kappa) & (values.imag >= 0))
-    if not len(kept):
-        return nothing
-    kept = kept[np.argsort(-values.real[kept], kind="stable")]
-    share = np.abs(left[:, kept[0]] * right[:, kept[0]])
-    return Growing(values[kept], share / share.sum())
+    return values, left, right, 10 * len(A) * EPS * np.linalg.norm(balanced) * kappa
 
 
 def step_factor(q: np.ndarray) -> np.ndarray:

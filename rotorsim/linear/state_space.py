@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,16 @@ class StateSpace:
     def poles(self) -> np.ndarray:
         """Return the eigenvalues of A [1/s], shape (n,)."""
         return np.asarray(np.linalg.eigvals(self.A))
+
+    def amplified(self, gain: float, wires: Sequence[int]) -> StateSpace:
+        """Return it with u_k = (gain - 1) y_k of some wires k, without inputs: what arrives there is amplified."""
+        return StateSpace(self.A + self.B @ self.amplification(gain, wires), self.B[:, :0], self.C, self.D[:, :0])
+
+    def amplification(self, gain: float, wires: Sequence[int]) -> np.ndarray:
+        """Return F (m, n) of the inputs u = F x that amplify wires."""
+        F = np.zeros(self.D.T.shape)
+        F[wires, wires] = gain - 1
+        return np.asarray(np.linalg.solve(np.eye(len(F)) - F @ self.D, F @ self.C))
 
     def response(self, frequencies: Any) -> np.ndarray:
         """Return C (i 2 pi f I - A)^-1 B + D at frequencies f [Hz], shape (len(f), k, m); inf on a pole."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -238,7 +239,12 @@ class Model:
 
     def kernel(self, record: Sequence[str]) -> Kernel:
         """Return the scalar programs that record the named signals."""
-        return build_kernel(self.trace, [self.expression(name) for name in record])
+        recorded = [self.closed(self.expression(name)) for name in record]
+        trace = self.trace
+        if trace.v.numel():
+            columns = ("xdot", "z_next", "events", "loop_residuals")
+            trace = replace(trace, **{name: self.closed(getattr(trace, name)) for name in columns})
+        return build_kernel(trace, recorded)
 
     def library(self, record: Sequence[str] = ()) -> Library | None:
         """Return the compiled C functions that record the named signals, or None without a compiler that works."""

@@ -13,11 +13,11 @@ from scipy.linalg import expm
 from rotorsim.cosim.cosimulation import cosimulate, cosimulate_diagram, couple
 from rotorsim.cosim.coupling import Coupling
 from rotorsim.cosim.linear import LinearParticipant
-from rotorsim.cosim.linear_model import LinearModel
 from rotorsim.cosim.masters.choice import make_master, make_stepping_master
 from rotorsim.cosim.masters.master import Settings
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.export.export import export_fmu
+from rotorsim.linear.linear_model import LinearModel
 from rotorsim.model.load import load
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate

@@ -8,6 +8,8 @@ import pytest
 
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.linearisation import drifting_states, equilibrium, linearise
+from rotorsim.model.compiled import compile_diagram
+from rotorsim.model.load import load
 from tests.reference.handmade import TABLE_2_1, handmade, jeffcott
 
 
@@ -31,6 +33,15 @@ def test_injected_current_acts_through_the_force_current_factor():
     np.testing.assert_allclose(system.B, expected, rtol=1e-14)
     assert system.inputs == ("controller.current[1]", "controller.current[2]")
     assert system.outputs == ("rotor.displacement[1]", "rotor.displacement[2]")
+
+
+def test_a_nonlinear_diagram_with_an_injected_signal_is_compiled():
+    """FAULT of an earlier version: C with an undeclared input, a warning, and CasADi's virtual machine instead."""
+    diagram = load("jeffcott_rub")
+    model = compile_diagram(diagram, inject=("controller.displacement",))
+    x = equilibrium(model, None, None, hold_drifting=True)
+    assert model.without != "the C compiler failed"
+    np.testing.assert_allclose(x, equilibrium(compile_diagram(diagram), None, None, hold_drifting=True), rtol=1e-12)
 
 
 def test_nonlinear_bearing_is_linearised_at_its_equilibrium_under_weight():

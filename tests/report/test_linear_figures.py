@@ -6,14 +6,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.campbell import Campbell, Crossing, campbell
-from rotorsim.linear.frequency import FrequencyResponse, frequency_response, sensitivity
+from rotorsim.linear.frequency import FrequencyResponse, frequency_response
+from rotorsim.linear.margins import margins
 from rotorsim.model.load import load
-from rotorsim.report.figures.linear import (
-    campbell_figure,
-    frequency_response_figure,
-    periodic_figure,
-    sensitivity_figure,
-)
+from rotorsim.report.figures.linear import campbell_figure, frequency_response_figure, margins_figure, periodic_figure
 from rotorsim.report.figures.run import save_figure
 from rotorsim.report.style import BLUE, ORANGE
 from rotorsim.settled.result import Periodic
@@ -83,14 +79,18 @@ def test_phases_begin_within_half_a_turn():
     assert made.get_suptitle() == "x (not stable: no settled response)"
 
 
-def test_the_sensitivity_is_drawn_over_the_zones_of_the_standard(tmp_path):
-    found = sensitivity(load("jeffcott"))
-    axes = drawn(sensitivity_figure(found, "jeffcott"), tmp_path / "s.png").axes[0]
-    assert [text.get_text() for text in axes.texts] == ["A", "B", "C", "D"]
-    assert legend(axes)[0] == (
-        f"controller.current[1]: peak {found.peaks[0]:.2f} at {found.peak_frequencies[0]:.0f} Hz, zone {found.zones[0]}"
-    )
-    assert np.asarray(axes.lines[0].get_ydata()) == pytest.approx(found.axes[:, 0])
+def test_the_sensitivity_is_drawn_over_the_zones_of_the_standard_and_the_open_loop_below(tmp_path):
+    found = margins(load("jeffcott"))
+    upper, middle, lower = drawn(margins_figure(found, "jeffcott"), tmp_path / "s.png").axes
+    assert [text.get_text() for text in upper.texts] == ["A", "B", "C", "D"]
+    axis = found.axes[0]
+    assert legend(upper) == [
+        *(f"controller.displacement[{k}]: peak 3.43 at 124 Hz, zone B" for k in (1, 2)),
+        "largest singular value",
+    ]
+    assert np.asarray(upper.lines[0].get_ydata()).max() == pytest.approx(axis.peak, rel=1e-3)
+    assert np.asarray(middle.lines[0].get_ydata()) == pytest.approx(np.abs(found.open_loop()[:, 0]))
+    assert (lower.get_ylabel(), lower.get_xlabel()) == ("phase of G_o [deg]", "frequency [Hz]")
 
 
 def periodic_of(orders: np.ndarray, stable: tuple[bool | None, ...] = (True, False, None)) -> Periodic:

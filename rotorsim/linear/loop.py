@@ -1,0 +1,259 @@
+"""A loop of a diagram into which a test signal is injected: at a sensor's signal, or at the output of a controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import factorial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.linear.linear_model import LinearModel, linear_part
+from rotorsim.linear.linearisation import as_model, entry_names, linearise, require_finite
+from rotorsim.linear.sampled_data import MOST_HITS, SampledData
+from rotorsim.linear.stability import growing, growing_multipliers
+from rotorsim.linear.state_space import StateSpace
+from rotorsim.model.compiled import Model
+from rotorsim.model.part import open_part
+
+SENSOR, RATE = "displacement", "velocity"  # input ports of a controller: one sensor's signal, and what is made of it
+DELAY_ERROR = 0.01  # of a signal, which a Pade approximation may be off before it is said
+
+
+@dataclass(frozen=True)
+class Injection:
+    """One entry of a port where a test signal is added: V2 is the signal that arrives there, of a unit.
+
+    rate_of: position among all of the entry whose rate this is; its test signal is dE/dt of that one. None: an axis.
+    """
+
+    name: str
+    port: str
+    signal: str
+    unit: str
+    rate_of: int | None = None
+
+
+def open_loop_of(S: Any) -> Any:
+    """Return G_o = 1 / S - 1."""
+    return 1 / np.asarray(S) - 1
+
+
+def sensor_ports(diagram: Diagram) -> list[str]:
+    """Return the sensors' signals of all controllers: their input ports ``displacement`` that something feeds."""
+    fed = {(wire.target.block, wire.target.port) for wire in diagram.wires}
+    blocks = [name for name, node in diagram.nodes.items() if node.block.category == "controller"]
+    found = [f"{name}.{SENSOR}" for name in blocks if (name, SENSOR) in fed]
+    if not found:
+        hint = "name the ports of its bearing loops: where a sensor's signal arrives, or the output of a controller"
+        raise RotorsimError(Problem("no controller with a wired input 'displacement'", diagram.name, hint=hint))
+    return found
+
+
+def controller_output(diagram: Diagram | Model, controller: str) -> str:
+    """Return the output port of a controller block: ``current`` if it has one, else its only output.
+
+    Raises RotorsimError for an unknown block and for several outputs.
+    """
+    nodes = diagram.diagram.nodes if isinstance(diagram, Model) else diagram.nodes
+    if controller not in nodes:
+        raise RotorsimError(Problem(what="no such block", subject=controller, hint=near_miss(controller, nodes)))
+    ports = list(nodes[controller].outputs)
+    if "current" in ports:
+        return f"{controller}.current"
+    if len(ports) != 1:
+        what = f"a controller has an output 'current' or a single one; this block has {', '.join(ports) or 'none'}"
+        raise RotorsimError(Problem(what=what, subject=controller))
+    return f"{controller}.{ports[0]}"
+
+
+def injections(diagram: Diagram, ports: Sequence[str]) -> tuple[Injection, ...]:
+    """Return where test signals are added for input or output ports. Raises RotorsimError for all wrong ones."""
+    found: list[Injection] = []
+    problems: list[Problem] = []
+    for port in ports:
+        try:
+            found += _injections(diagram, port, len(found))
+        except RotorsimError as error:
+            problems += error.problems
+    if problems:
+        raise RotorsimError(*problems)
+    return tuple(found)
+
+
+def _injections(diagram: Diagram, port: str, count: int) -> list[Injection]:
+    """Return those of one port, behind ``count`` others."""
+    block, _, name = port.rpartition(".")
+    node = diagram.nodes.get(block)
+    if node is None:
+        raise RotorsimError(Problem("no such block", block or port, hint=near_miss(block or port, diagram.nodes)))
+    declared = node.outputs.get(name) or node.inputs.get(name)
+    if declared is None:
+        raise RotorsimError(Problem("no such port", port, hint=near_miss(name, [*node.inputs, *node.outputs])))
+    names, unit = entry_names(port, declared.shape), declared.unit or "1"
+    if name in node.outputs:
+        return [Injection(entry, port, entry, unit) for entry in names]
+    signals = _arriving(diagram, block, name)
+    if signals is None:
+        hint = "each entry of the input needs one wire; or name the output port that feeds it"
+        raise RotorsimError(Problem("not every entry of this input is one signal", port, hint=hint))
+    made = [Injection(entry, port, signal, unit) for entry, signal in zip(names, signals, strict=True)]
+    rates = _arriving(diagram, block, RATE) if name == SENSOR and RATE in node.inputs else None
+    of_rate = f"{block}.{RATE}"
+    return made + [Injection(of_rate, of_rate, signal, "", count + k) for k, signal in enumerate(rates or ())]
+
+
+def _arriving(diagram: Diagram, block: str, port: str) -> list[str] | None:
+    """Return the name of the signal that arrives at each entry of an input port; None where one has none or several."""
+    shape = diagram.nodes[block].inputs[port].shape
+    entries = np.full(shape, "", object)
+    for wire in diagram.wires:
+        if (wire.target.block, wire.target.port) != (block, port):
+            continue
+        source = diagram.nodes[wire.source.block].outputs[wire.source.port]
+        names = entry_names(f"{wire.source.block}.{wire.source.port}", source.shape)
+        if (entries[wire.target.index] != "").any() if entries.ndim else entries.item():
+            return None
+        entries[wire.target.index] = np.array(names, object).reshape(source.shape)[wire.source.index]
+    flat = entries.ravel().tolist()
+    return None if "" in flat else flat
+
+
+class Loop:
+    """A diagram, linear about its operating point, from test signals to the signals that they are added to.
+
+    axes: the injections but for rates. one_unit: of all axes, so that singular values mean something.
+    """
+
+    def __init__(
+        self, diagram: Diagram | Model, given: Sequence[Injection], parameters: Mapping[str, Any] | None = None
+    ) -> None:
+        self.injections = tuple(given)
+        self._place = [k for k, one in enumerate(given) if one.rate_of is None]
+        self.axes = tuple(given[k] for k in self._place)
+        self.one_unit = len({axis.unit for axis in self.axes}) == 1
+        ports = tuple(dict.fromkeys(one.port for one in given))
+        signals = [one.signal for one in given]
+        self.model = as_model(diagram, ports)
+        self.system: StateSpace | SampledData
+        self._notes: tuple[str, ...] = ()
+        self.is_sampled = bool(self.model.n_z)
+        if self.is_sampled:
+            part = _linear_model(self.model, ports, signals, parameters)
+            self.system = _sampled(part, self.model)
+            self.fastest_rate = 1 / min(part.periods)
+        else:
+            linear = linearise(self.model, parameters=parameters, inputs=ports, outputs=signals)
+            self.system, self._notes = linear, linear.notes
+
+    def sensitivity(self, frequencies: Any) -> np.ndarray:
+        """Return S (n, m, m) of the axes at frequencies [Hz]: V1 = S E."""
+        f = np.atleast_1d(np.asarray(frequencies, float))
+        test = np.zeros((len(f), len(self.injections), len(self._place)), complex)
+        for k, one in enumerate(self.injections):
+            axis = self._place.index(k if one.rate_of is None else one.rate_of)
+            test[:, k, axis] = 1.0 if one.rate_of is None else 2j * np.pi * f
+        return np.asarray((self.system.response(f) @ test)[:, self._place] + np.eye(len(self._place)))
+
+    def poles(self) -> np.ndarray:
+        """Return the poles [1/s] of the closed loop and of those with an axis open; with samples, between hits too.
+
+        Near all of these S or G_o may change within a narrow band.
+        """
+        loops = [self.system, *(self._amplified(0.0, k) for k in range(len(self.axes)))]
+        between = [system.flow for system in loops if isinstance(system, SampledData)]
+        return np.concatenate([system.poles() for system in (*loops, *between)])
+
+    def _amplified(self, gain: float, axis: int) -> StateSpace | SampledData:
+        """Return the loop with the signal of an axis, and its rate, amplified."""
+        place = self._place[axis]
+        wires = [k for k, one in enumerate(self.injections) if place in (k, one.rate_of)]
+        return self.system.amplified(gain, wires)
+
+    @cached_property
+    def _stable(self) -> bool:
+        return not len(_growing(self.system))
+
+    def is_stable(self, gain: float = 1.0, axis: int = 0) -> bool:
+        """Return whether the closed loop is stable, with the signal of an axis amplified."""
+        return self._stable if gain == 1.0 else not len(_growing(self._amplified(gain, axis)))
+
+    def growing_frequency(self, gain: float, axis: int) -> float:
+        """Return the frequency [Hz] of what grows with the signal of an axis amplified; with samples modulo 1/T."""
+        return float(abs(_growing(self._amplified(gain, axis))[0].imag) / (2 * np.pi))
+
+    def notes(self, highest: float) -> tuple[str, ...]:
+        """Return what a reader must know of a loop that is looked at up to a frequency [Hz]."""
+        return (*self._notes, *_undisturbed(self.model.diagram, self.axes), *_delays(self.model.diagram, highest))
+
+
+def _growing(system: StateSpace | SampledData) -> np.ndarray:
+    """Return the poles [1/s] that grow, fastest first."""
+    if isinstance(system, SampledData):
+        return np.asarray(np.log(growing_multipliers(system.monodromy).astype(complex)) / system.period)
+    return growing(system.A).poles
+
+
+def _linear_model(
+    model: Model, ports: Sequence[str], signals: Sequence[str], parameters: Mapping[str, Any] | None
+) -> LinearModel:
+    """Return a diagram with sampled blocks as a linear model. Raises RotorsimError for one that is not linear."""
+    part = open_part(model.diagram, inputs=ports)
+    p = part.parameter_vector(parameters)
+    linear = linear_part(part, p, model.n_z, signals)
+    if not linear.exact:
+        moving = ca.vertcat(part.trace.t, part.trace.x, part.trace.z)
+        rates = ca.jacobian(part.trace.xdot, ca.vertcat(part.trace.x, part.trace.z))
+        curved = {part.block_of_state(k) for k in range(part.n_x) if ca.depends_on(rates[k, :], moving)}
+        subject = ", ".join(sorted(curved)) or ", ".join(sampler.block for sampler in part.trace.samplers)
+        hint = "take the linear block ('amb' for 'amb_nonlinear'), or `rotorsim swap` a continuous controller in"
+        raise RotorsimError(
+            Problem("with sampled blocks a loop must be linear, with constant coefficients", subject, hint=hint)
+        )
+    require_finite(model, linear.A[: model.n_x, : model.n_x])
+    return linear
+
+
+def _sampled(linear: LinearModel, model: Model) -> SampledData:
+    system = SampledData.of(linear)
+    if system is None:
+        blocks = ", ".join(sampler.block for sampler in model.trace.samplers)
+        what = f"their sample times have no common multiple within {MOST_HITS} hits"
+        raise RotorsimError(Problem(what, blocks, hint="round them: 0.1 ms and 0.25 ms, not 0.1 ms and 0.2503 ms"))
+    return system
+
+
+def _undisturbed(diagram: Diagram, axes: Sequence[Injection]) -> list[str]:
+    """Return the rates that pass by a test signal: wired velocities of controllers fed by an output port named."""
+    ports = {axis.port for axis in axes}
+    said = []
+    for wire in diagram.wires:
+        port, end, node = f"{wire.source.block}.{wire.source.port}", wire.target, diagram.nodes[wire.target.block]
+        is_sensor = port in ports and node.block.category == "controller" and end.port == SENSOR
+        if is_sensor and RATE in node.inputs and _arriving(diagram, end.block, RATE):
+            rate = f"'{port}' is disturbed, and '{end.block}.{RATE}' is not"
+            said.append(f"{rate}: name '{end.block}.{SENSOR}' where one sensor gives both")
+    return list(dict.fromkeys(said))
+
+
+def _delays(diagram: Diagram, highest: float) -> list[str]:
+    """Return the delays whose Pade approximation is off by more than 1 % of the signal below a frequency [Hz].
+
+    |H - exp(-j w T)| = (n!)^2 / ((2n)! (2n + 1)!) (w T)^(2n + 1), see the block ``delay``.
+    """
+    said = []
+    for name, node in diagram.nodes.items():
+        if "delay" in node.values and hasattr(node.block.option, "order"):
+            n, angle = int(node.block.option.order), 2 * np.pi * highest * float(np.max(node.values["delay"]))
+            constant = factorial(n) ** 2 / (factorial(2 * n) * factorial(2 * n + 1))
+            limit = (DELAY_ERROR / constant) ** (1 / (2 * n + 1))
+            if angle > limit:
+                said.append(
+                    f"'{name}': its Pade approximation is off by more than 1 % above {highest * limit / angle:.0f} Hz"
+                )
+    return said
