@@ -66,7 +66,7 @@ def test_analyses_are_called_alike(name: str) -> None:
     """The diagram first, what it is analysed for by keyword: `parameters` among it."""
     parameters = inspect.signature(getattr(rotorsim, name)).parameters.values()
     positional = [one.name for one in parameters if one.kind is one.POSITIONAL_OR_KEYWORD]
-    assert positional in (["diagram"], ["diagram", "controller"])
+    assert positional in (["diagram"], ["diagram", "ports"])
     assert "parameters" in {one.name for one in parameters if one.kind is one.KEYWORD_ONLY}
 
 

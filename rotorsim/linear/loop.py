@@ -131,7 +131,11 @@ class Loop:
     """
 
     def __init__(
-        self, diagram: Diagram | Model, given: Sequence[Injection], parameters: Mapping[str, Any] | None = None
+        self,
+        diagram: Diagram | Model,
+        given: Sequence[Injection],
+        parameters: Mapping[str, Any] | None = None,
+        at: np.ndarray | None = None,
     ) -> None:
         self.injections = tuple(given)
         self._place = [k for k, one in enumerate(given) if one.rate_of is None]
@@ -148,7 +152,7 @@ class Loop:
             self.system = _sampled(part, self.model)
             self.fastest_rate = 1 / min(part.periods)
         else:
-            linear = linearise(self.model, parameters=parameters, inputs=ports, outputs=signals)
+            linear = linearise(self.model, parameters=parameters, inputs=ports, outputs=signals, at=at)
             self.system, self._notes = linear, linear.notes
 
     def sensitivity(self, frequencies: Any) -> np.ndarray:

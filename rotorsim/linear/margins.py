@@ -124,26 +124,27 @@ def zone_of(peak: float) -> str:
 
 def margins(
     diagram: Diagram | Model,
-    at: Sequence[str] | str = (),
+    ports: Sequence[str] | str = (),
     *,
     parameters: Mapping[str, Any] | None = None,
     frequencies: Sequence[float] | np.ndarray | None = None,
+    at: np.ndarray | None = None,
 ) -> Margins:
     """Return sensitivity, open and closed loop and margins of every bearing axis, after ISO 14839-3.
 
     A signal E is added to V2, V1 = V2 + E goes on: S = V1/E, G_o = -V2/V1 = 1/S - 1, G_c = -V2/E = 1 - S. Each axis is
     judged by |S_jj| with the other axes closed, as measured on a machine, from 0.01 Hz to the larger of 2 kHz and three
-    times the speed, as the standard asks. at: input ports (``controller.displacement``, default: of every controller),
+    times the speed, as the standard asks. ports: input ports (``controller.displacement``, default: of every controller),
     or output ports (``controller.current``). With the displacement of a controller its wired velocity is disturbed by
     dE/dt, as of a rate that is made of the sensor's signal. frequencies [Hz]: those of the curves; default: a grid that
-    misses no peak. A loop with sampled blocks has its exact response at the frequency injected.
+    misses no peak. at: operating point, see `linearise`. A loop with sampled blocks has its exact response at the frequency injected.
 
     Raises RotorsimError for ports that do not exist or that no loop passes through, and as `linearise`.
     Source: ISO 14839-3:2006, Evaluation of stability margin.
     """
     drawn = diagram.diagram if isinstance(diagram, Model) else diagram
-    ports = [at] if isinstance(at, str) else list(dict.fromkeys(at))
-    loop = Loop(diagram, injections(drawn, ports or sensor_ports(drawn)), parameters)
+    named = [ports] if isinstance(ports, str) else list(dict.fromkeys(ports))
+    loop = Loop(diagram, injections(drawn, named or sensor_ports(drawn)), parameters, at)
     speed = speed_of(loop.model, loop.model.parameter_vector(parameters)) or 0.0
     top = max(LARGEST_FREQUENCY, 3 * abs(speed) / (2 * np.pi))
     hz, S = _judged(loop, top)
