@@ -134,10 +134,11 @@ def margins(
 
     A signal E is added to V2, V1 = V2 + E goes on: S = V1/E, G_o = -V2/V1 = 1/S - 1, G_c = -V2/E = 1 - S. Each axis is
     judged by |S_jj| with the other axes closed, as measured on a machine, from 0.01 Hz to the larger of 2 kHz and three
-    times the speed, as the standard asks. ports: input ports (``controller.displacement``, default: of every controller),
-    or output ports (``controller.current``). With the displacement of a controller its wired velocity is disturbed by
-    dE/dt, as of a rate that is made of the sensor's signal. frequencies [Hz]: those of the curves; default: a grid that
-    misses no peak. at: operating point, see `linearise`. A loop with sampled blocks has its exact response at the frequency injected.
+    times the speed, as the standard asks. ports: inputs (``controller.displacement``, default: of every controller), or
+    outputs (``controller.current``). With the displacement of a controller its wired velocity is disturbed by dE/dt, as
+    of a rate that is made of the sensor's signal. frequencies [Hz]: those of the curves; default: a grid that misses no
+    peak. at: operating point, see `linearise`. A loop with sampled blocks has its exact response at the frequency
+    injected.
 
     Raises RotorsimError for ports that do not exist or that no loop passes through, and as `linearise`.
     Source: ISO 14839-3:2006, Evaluation of stability margin.
