@@ -56,6 +56,12 @@ RAN_UP = (
 )
 
 
+INJECTED = (
+    'record jeffcott --inject controller.displacement --amplitude "1 um" --set "solver.stop=20 s" --rate "5 kHz" '
+    '--noise "2 %" --out swept'
+)
+
+
 @dataclass(frozen=True)
 class Picture:
     """Commands of rotorsim in an empty folder, and the file among what they leave that is the picture."""
@@ -92,6 +98,8 @@ PICTURES = {
         ),
         "spectrum.png",
     ),
+    "margins.png": Picture(("margins two_amb_rotor --plot margins.png",), "margins.png"),
+    "margins_measured.png": Picture((INJECTED, "margins swept --beside jeffcott --plot measured.png"), "measured.png"),
     "orders_bode.png": Picture(
         (RAN_UP, 'orders runup --order 1 --operating "9000 rpm:9500 rpm" --plot bode.png'), "bode.png"
     ),

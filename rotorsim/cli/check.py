@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.recordings.orders import OrderRecording
 
+OF_ROTATION = ("missing_channel", "no_phase_reference", "swapped_axes")  # which loops need not have
 Found = tuple[dict[str, Any], Sequence[Problem], int, str]  # entry for --json, problems, exit code, what it holds
 
 
@@ -92,12 +93,15 @@ def _recording(name: str, against: Diagram | None) -> Found:
     against: the diagram whose signals and parameters it names.
     """
     from rotorsim.measure.checks import check_signals
+    from rotorsim.recordings.injection import holds_injection
     from rotorsim.recordings.orders import OrderRecording, load_any
     from rotorsim.report.text.recording import contents, contents_line
     from rotorsim.signals.pickup import check_harmonics
 
     entry: dict[str, Any] = {"recording": name, "valid": False}
     try:
+        if holds_injection(name):
+            return _injection(entry, name, against)
         recording = load_any(name)
         if isinstance(recording, OrderRecording):
             return _orders(entry, recording, against)
@@ -113,6 +117,24 @@ def _recording(name: str, against: Diagram | None) -> Found:
         return entry, error.problems, error.exit_code, ""
     held = contents(recording)
     return entry | held, problems, code, contents_line(held)
+
+
+def _injection(entry: dict[str, Any], name: str, against: Diagram | None) -> Found:
+    """Return the same of a recording of an injected test signal. Raises RotorsimError for ports a diagram has not."""
+    from rotorsim.linear.loop import injections
+    from rotorsim.measure.checks import check_signals
+    from rotorsim.recordings.injection import load_injection
+    from rotorsim.report.text.table import counted
+
+    recording = load_injection(name)
+    if against is not None:
+        injections(against, list(dict.fromkeys(axis.partition("[")[0] for axis in recording.loops)))
+    found = [*recording.warnings, *check_signals(recording)]
+    problems = [problem for problem in found if problem.code not in OF_ROTATION]
+    entry |= {"kind": "injection", "axes": len(recording.loops), "runs": len(recording.runs)}
+    axes = "1 axis" if entry["axes"] == 1 else f"{entry['axes']} axes"
+    line = f"injection at {axes}, {counted(entry['runs'], 'run')}"
+    return entry, problems, int(any(problem.severity == "error" for problem in problems)), line
 
 
 def _orders(entry: dict[str, Any], recording: OrderRecording, against: Diagram | None) -> Found:

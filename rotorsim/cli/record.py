@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 MOST_RECORDED_RUNS = 10_000
 SAMPLES_PER_TURN = 4.0  # samples a turn
 KEPT_SHARE = 0.2  # of the run that is kept, at its end
+START_SHARE = 0.1  # of a run, before a test signal is injected
+RATE_EXAMPLES = {"--rate": "5000 Hz", "--sweep": "5 Hz:2000 Hz"}
 HERTZ = {"": 1.0, "Hz": 1.0, "kHz": 1e3, "MHz": 1e6}
 
 
@@ -91,6 +93,15 @@ class Plan:
 )
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the noise.")
 @click.option(
+    "--inject",
+    "ports",
+    multiple=True,
+    metavar="PORT",
+    help="Add a sine sweep to what arrives here (or leaves), one axis a run, for 'rotorsim margins'; repeatable.",
+)
+@click.option("--sweep", default="5 Hz:2000 Hz", show_default=True, metavar="FROM:TO", help="Frequencies of --inject.")
+@click.option("--amplitude", metavar="SIZE", help="Of --inject, 0-peak, as '1 um'.")
+@click.option(
     "--format", "form", type=click.Choice(("npz", "csv")), default="npz", show_default=True, help="Of the data files."
 )
 @click.option("--overwrite", is_flag=True, help="Replace a recording that is in the folder.")
@@ -109,6 +120,9 @@ def command(
     noise: str | None,
     noise_kind: str,
     seed: int,
+    ports: tuple[str, ...],
+    sweep: str,
+    amplitude: str | None,
     form: str,
     overwrite: bool,
     progress: bool | None,
@@ -121,6 +135,7 @@ def command(
 
     \b
     rotorsim record jeffcott --speeds "1140 rpm:60 rpm:1620 rpm" --settle --noise "1 %" --out measured
+    rotorsim record jeffcott --inject controller.displacement --amplitude "1 um" --out swept
     """
     check_folder("--out", out)
     refuse_if(
@@ -136,29 +151,45 @@ def command(
     known = [gains_of(text) for text in gains] or [{}]
     _limit(len(at) * len(known))
     diagrams = _diagrams(chosen, known)
-    measured = list(signals) or _two_axis(diagrams[0])
+    injected: dict[str, tuple[str, str, str]] = {}
+    axes: list[tuple[str, dict[str, Any]]] = [("", {})]
+    if ports:
+        refuse_if(signals or settle or hold_out, "--inject records its loops alone: no --signal, --settle, --hold-out")
+        span = span or (START_SHARE * diagrams[0].solver.stop, diagrams[0].solver.stop)
+        diagrams, injected, axes = _with_sweeps(diagrams, chosen, ports, sweep, amplitude, span)
+        _limit(len(at) * len(known) * len(axes))
+    measured = list(injected) or list(signals) or _two_axis(diagrams[0])
     from rotorsim.measure.record import Noise
     from rotorsim.model.compiled import model_for_runs
     from rotorsim.recordings.writing import NewRun, save_recording
 
     plan = Plan(span, settle, hertz, Noise(level, noise_kind, seed) if level else None)
-    cases = list(itertools.product(zip(map(model_for_runs, diagrams), known, strict=True), at))
+    cases = list(itertools.product(zip(map(model_for_runs, diagrams), known, strict=True), at, axes))
     width = max(len(str(len(cases))), 2)
     runs: list[NewRun] = []
     with progress_bar(diagrams[0].name, progress) as bar:
-        for k, ((model, settings), speed) in enumerate(cases):
+        for k, ((model, settings), speed, (_, parameters)) in enumerate(cases):
 
             def forward(fraction: float, k: int = k) -> None:
                 if bar:
                     bar((k + fraction) / len(cases))
 
-            run = NewRun(f"run{k + 1:0{width}}", *_measured(model, measured, speed, plan, k, forward), settings)
+            run = NewRun(
+                f"run{k + 1:0{width}}", *_measured(model, measured, speed, plan, k, forward, parameters), settings
+            )
             runs.append(replace(run, use="hold_out" if speed in held else "identify"))
     for run in runs:
         _warn(run)
     source = _source(chosen, plan)
     path = save_recording(
-        out, runs, name=diagrams[0].name, source=source, signals=measured, suffix=f".{form}", overwrite=overwrite
+        out,
+        runs,
+        name=diagrams[0].name,
+        source=source,
+        signals=measured,
+        suffix=f".{form}",
+        overwrite=overwrite,
+        injected=injected,
     )
     note(f"written: {path} and {counted(len(runs), 'data file')}")
     data = [
@@ -186,6 +217,7 @@ def _measured(
     plan: Plan,
     number: int,
     progress: Callable[[float], None],
+    parameters: Mapping[str, Any],
 ) -> tuple[Result, float | None]:
     """Return the result of one run, and its nominal speed [rad/s]."""
     from rotorsim.linear.eigenmodes import require_speed
@@ -208,6 +240,7 @@ def _measured(
         window=plan.window or (0.0 if rising else (1 - KEPT_SHARE) * stop, stop),
         rate=plan.rate,
         speed=speed,
+        parameters=parameters,
         settle=plan.settle,
         progress=progress,
     )
@@ -242,6 +275,32 @@ def _diagrams(chosen: Chosen, known: Sequence[Mapping[str, Any]]) -> list[Diagra
             problems += [replace(p, place=Place("--gains")) if p.place.file == "--set" else p for p in error.problems]
     refuse_all(problems)
     return diagrams
+
+
+def _with_sweeps(
+    diagrams: Sequence[Diagram],
+    chosen: Chosen,
+    ports: Sequence[str],
+    sweep: str,
+    amplitude: str | None,
+    window: tuple[float, float],
+) -> tuple[list[Diagram], dict[str, tuple[str, str, str]], list[tuple[str, dict[str, Any]]]]:
+    """Return diagrams with sweeps in them, what their signals are of the loops, and the parameters of each axis."""
+    from rotorsim.linear.loop import injections
+    from rotorsim.measure.injection import Sweep, with_sweeps
+    from rotorsim.model.load import load
+
+    units = {one.port: one.unit for one in injections(diagrams[0], ports) if one.rate_of is None}
+    refuse_if(amplitude is None, "--inject needs --amplitude", hint="for example --amplitude '1 um'")
+    first, last = (_hertz(part, "--sweep") for part in (*sweep.split(":"), "")[:2])
+    size = {port: quantity(amplitude or "", unit, "--amplitude") for port, unit in units.items()}
+    refuse_if(min(size.values()) <= 0, f"--amplitude {amplitude}: not above zero")
+    plan = Sweep(first, last, size)
+    made = [with_sweeps(diagram, ports, plan, window) for diagram in diagrams]
+    folder = Path(diagrams[0].file).parent if diagrams[0].file else None
+    trust = chosen.trust_blocks
+    opened = [load(one.document, trust_blocks=trust, folder=folder) for one in made]
+    return opened, made[0].signals, made[0].cases(plan)
 
 
 def _limit(runs: int) -> None:
@@ -297,8 +356,8 @@ def _moves(model: Model, name: str) -> bool:
     return not (expression.is_constant() and expression.is_zero())
 
 
-def _hertz(text: str) -> float:
-    """Return a sample rate [Hz]: samples are counted in a second, never in a turn."""
+def _hertz(text: str, option: str = "--rate") -> float:
+    """Return a sample rate, or another frequency [Hz]: samples are counted in a second, never in a turn."""
     from rotorsim.units import UnitError, split_quantity
 
     try:
@@ -307,8 +366,8 @@ def _hertz(text: str) -> float:
         rate, unit = 0.0, ""
     refuse_if(
         not 1e-6 <= rate * HERTZ.get(unit, 0.0) <= 1e12,
-        f"--rate {text}: not a sample rate",
-        hint="for example --rate '5000 Hz'",
+        f"{option} {text}: not a {'sample rate' if option == '--rate' else 'frequency'}",
+        hint=f"for example {option} '{RATE_EXAMPLES[option]}'",
     )
     return rate * HERTZ[unit]
 

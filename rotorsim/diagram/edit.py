@@ -1,4 +1,4 @@
-"""Edit diagram documents: put another block in the place of one, keeping its wires."""
+"""Edit diagram documents: put another block in the place of one, keeping its wires; add a signal to a port."""
 
 from __future__ import annotations
 
@@ -54,6 +54,24 @@ def fitting_types(data: Mapping[str, Any], block: str, registry: Registry | None
     """Return the types that have every port of ``block`` that is wired, and need no other input."""
     registry = registry or Registry()
     return [name for name, kind in registry.all_types().items() if not _misfits(data, block, kind, {})]
+
+
+def add_signal(data: Mapping[str, Any], port: str, source: str, name: str, *, is_output: bool) -> dict[str, Any]:
+    """Return the document with an output ``source`` added to what arrives at an input port, or leaves an output port.
+
+    Two sums are put into its wires: ``name_before``, the signal as it was, and ``name_after``, what goes on.
+    """
+    result = copy.deepcopy(dict(data))
+    before, after = f"{name}_before", f"{name}_after"
+    result["blocks"] |= {before: {"type": "sum", "parameters": {"signs": "+"}}, after: {"type": "sum"}}
+    side, new = (0, f"{after}.output") if is_output else (1, f"{before}.input1")
+    for wire in result["wires"]:
+        plain, bracket, index = str(wire[side]).partition("[")
+        if plain.strip() == port:
+            wire[side] = new + bracket + index
+    ends = [port, f"{before}.input1"] if is_output else [f"{after}.output", port]
+    result["wires"] += [ends, [f"{before}.output", f"{after}.input1"], [source, f"{after}.input2"]]
+    return result
 
 
 def _misfits(data: Mapping[str, Any], block: str, kind: type[Block], values: Mapping[str, Any]) -> list[Problem]:

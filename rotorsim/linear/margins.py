@@ -69,7 +69,7 @@ class Margins(Shown):
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
-    _figure = "rotorsim.report.figures.linear:margins_figure"
+    _figure = "rotorsim.report.figures.margins:margins_figure"
 
     def __repr__(self) -> str:
         return f"Margins({self.statement})"

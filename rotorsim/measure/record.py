@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,7 @@ def measure(
     window: tuple[float, float],
     rate: float | None = None,
     speed: float | None = None,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Mapping[str, Any] | None = None,
     settle: bool = False,
     closed: bool = True,
     progress: Callable[[float], None] | None = None,

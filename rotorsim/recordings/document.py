@@ -70,6 +70,17 @@ EXAMPLES = {
     "id": '"id": "run1"',
     "file": '"file": "run1.csv"',
 }
+OTHER_KINDS = {  # of a recording: what it is instead of samples of a diagram's signals, and what takes it
+    "orders": (
+        "these are orders over the speed, not samples in time",
+        "'identify', 'diagnose', 'run --input' and 'check' take them",
+    ),
+    "samples": (
+        "nothing says where a test signal was injected",
+        'a recording of "kind": "injection" does; see docs/margins.md',
+    ),
+    "injection": ("a test signal was injected into this machine", "'margins' and 'check' take such a recording"),
+}
 _WORDS = {str: "a text", int: "a whole number", dict: "an object {...}", list: "a list [...]"}
 _ID = re.compile(r"[^\x00-\x1f/\\]{1,200}")
 _SETTING = re.compile(r"[A-Za-z_]\w*((/[A-Za-z_]\w*)*\.[A-Za-z_]\w*)?", re.ASCII)
@@ -120,15 +131,17 @@ def read_source(path: str | Path) -> tuple[Source, Path]:
     return read_document(path, RECORDING_FORM), path.parent
 
 
-def parse_recording(source: Source, folder: Path, *, files: bool = True) -> Document:
+def parse_recording(
+    source: Source, folder: Path, *, files: bool = True, parser_class: type[DocumentParser] | None = None
+) -> Document:
     """Check a document; ``files``: also that the data files exist. Raises RotorsimError with every mistake."""
-    if isinstance(source.data, dict) and source.data.get("kind") == "orders":
-        what, hint = (
-            "these are orders over the speed, not samples in time",
-            "'identify', 'diagnose', 'run --input' and 'check' take them",
-        )
+    parser = (parser_class or DocumentParser)(source, folder, files)
+    kind = source.data.get("kind") if isinstance(source.data, dict) else None
+    if kind is None and parser.kind == "injection":
+        kind = DocumentParser.kind
+    if isinstance(kind, str) and kind != parser.kind and kind in OTHER_KINDS:
+        what, hint = OTHER_KINDS[kind]
         raise RotorsimError(Problem(what, place=source.locate(("kind",)), hint=hint))
-    parser = DocumentParser(source, folder, files)
     document = parser.document()
     if document is None or parser.problems:
         raise RotorsimError(*sorted(parser.problems, key=lambda problem: problem.place))
@@ -142,6 +155,7 @@ class DocumentParser:
     files: bool
     problems: list[Problem] = field(default_factory=list)
 
+    kind: ClassVar[str] = "samples"
     keys: ClassVar[Mapping[str, Mapping[str, type]]] = RECORDING_KEYS
     required: ClassVar[Mapping[str, tuple[str, ...]]] = REQUIRED
     examples: ClassVar[Mapping[str, str]] = EXAMPLES
@@ -202,7 +216,7 @@ class DocumentParser:
         form = self.form("recording", self.source.data, ())
         if form is None:
             return None
-        self.choice(form, "kind", ("samples",), (), "recording")
+        self.choice(form, "kind", (self.kind,), (), "recording")
         self.not_empty(form)
         channels = self.channels(form.get("channels", {}))
         runs = self.runs(form.get("runs", []), form.get("time"), list(form.get("channels", {})))

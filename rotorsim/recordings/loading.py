@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.directions import along_axes
-from rotorsim.recordings.document import DataFile, read_recording_document
+from rotorsim.recordings.document import DataFile, Document, read_recording_document
 from rotorsim.recordings.readers.columns import read_columns
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.units import conversion
@@ -22,9 +22,15 @@ def load_recording(path: str | Path, *, read: bool = True) -> Recording:
     Raises RotorsimError with every mistake of recording.json, or else of all data files.
     """
     document = read_recording_document(path)
-    recording = document.recording
     if not read:
+        recording = document.recording
         return replace(recording, channels=along_axes(recording.channels, (), ())[0])
+    return read_samples(document)
+
+
+def read_samples(document: Document) -> Recording:
+    """Return the recording of a document with its samples. Raises RotorsimError with every mistake of data files."""
+    recording = document.recording
     runs: list[Run] = []
     errors: list[Problem] = []
     warnings: list[Problem] = []

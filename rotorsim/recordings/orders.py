@@ -217,6 +217,7 @@ def _with_rows(run: OrderRun, table: _Table, channels: Mapping[str, OrderChannel
 
 
 class _OrderParser(DocumentParser):
+    kind: ClassVar[str] = "orders"
     keys: ClassVar[Mapping[str, Mapping[str, type]]] = ORDER_KEYS
     required: ClassVar[Mapping[str, tuple[str, ...]]] = _REQUIRED
     examples: ClassVar[Mapping[str, str]] = _EXAMPLES
@@ -225,7 +226,7 @@ class _OrderParser(DocumentParser):
         form = self.form("recording", self.source.data, ())
         if form is None:
             return None
-        self.choice(form, "kind", ("orders",), (), "recording")
+        self.choice(form, "kind", (self.kind,), (), "recording")
         amplitude = self.choice(form, "amplitude", tuple(TO_PEAK), (), "recording")
         phase = self.choice(form, "phase", tuple(PHASES), (), "recording")
         slow_roll = self.choice(form, "slow_roll", SLOW_ROLLS, (), "recording") or SLOW_ROLLS[0]

@@ -16,6 +16,7 @@ from rotorsim.diagram.parse.source import Source
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.files import atomic_target, write_atomically
 from rotorsim.recordings.document import FILE, parse_recording
+from rotorsim.recordings.injection import InjectionParser
 from rotorsim.recordings.recording import ANGLE, AXES, USES, Channel, Recording, Run, signal_and_place
 from rotorsim.simulation.result import Result, flat_name
 from rotorsim.units import UnitError, conversion
@@ -51,13 +52,16 @@ def save_recording(
     angle: bool = False,
     suffix: str = ".npz",
     overwrite: bool = False,
+    injected: Mapping[str, tuple[str, str, str]] | None = None,
 ) -> Path:
     """Write simulated runs as a folder that `load_recording` reads back to the same numbers; return recording.json.
 
     The clock of a run starts at 0 with a sample rate when the result is evenly sampled, else its time is a column.
     Pulses of the tacho are where clock.theta passes multiples of 2 pi (linear between samples).
     signals: what to write (None: all that every run has, but the clock's). angle: also write clock.theta.
-    suffix: ".npz" or ".csv" of the data files. overwrite: replace files that are there.
+    suffix: ".npz" or ".csv" of the data files. overwrite: replace files that are there. injected: of signals in a loop,
+    the port at which a test signal was injected, "test", "before" or "after", and the unit; the recording is of that
+    kind then.
     Raises RotorsimError; recording.json is written last, and every file as a whole or not at all.
     """
     folder = Path(folder)
@@ -66,7 +70,8 @@ def save_recording(
         raise RotorsimError(Problem(f"'{suffix}' cannot be written", hint="suffix='.npz' or '.csv'"))
     channels = _channels(new[0].result, _signals(new, signals, angle)) if new else {}
     parts = [_part(run) for run in new]
-    document = {
+    document: dict[str, Any] = {
+        **({"kind": "injection"} if injected else {}),
         "name": name,
         "source": source,
         "channels": {
@@ -74,10 +79,13 @@ def save_recording(
             | ({} if c.axis is None else {"axis": c.axis})
             | ({} if c.node is None else {"node": c.node})
             | {"unit": c.unit}
+            | _meaning(c.signal, injected or {})
             for column, c in channels.items()
         },
         "runs": [_run_entry(run, part, suffix) for run, part in zip(new, parts, strict=True)],
     }
+    for entry in document["runs"] if injected else ():
+        del entry["use"]
     _check(document, folder)
     make_folder(folder, [FILE, *(run.id + suffix for run in new)], overwrite)
     for run, part in zip(new, parts, strict=True):
@@ -157,6 +165,15 @@ def _channels(result: Result, signals: Sequence[str]) -> dict[str, Channel]:
     return channels
 
 
+def _meaning(signal: str, injected: Mapping[str, tuple[str, str, str]]) -> dict[str, str]:
+    """Return what a channel says of its part in an injection at a port, if it has one."""
+    base, bracket, index = signal.partition("[")
+    if base not in injected:
+        return {}
+    port, role, unit = injected[base]
+    return {"signal": port + bracket + index, "unit": unit, "injection": role}
+
+
 def _unit(unit: str, name: str) -> str:
     """Return the unit of a signal, which must be SI since its numbers are."""
     try:
@@ -225,7 +242,8 @@ def _check(document: dict[str, Any], folder: Path) -> None:
         data = json.loads(json.dumps(document, allow_nan=False))
     except (TypeError, ValueError) as error:
         raise RotorsimError(Problem(f"cannot be written as JSON: {error}", place=Place(str(folder / FILE)))) from None
-    parse_recording(Source(data, file=str(folder / FILE)), folder, files=False)
+    parser = InjectionParser if data.get("kind") == InjectionParser.kind else None
+    parse_recording(Source(data, file=str(folder / FILE)), folder, files=False, parser_class=parser)
 
 
 def make_folder(folder: Path, files: Sequence[str], overwrite: bool) -> None:

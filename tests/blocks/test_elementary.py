@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.signal import chirp
 
 from tests.blocks.evaluation import prepare
 
@@ -44,6 +45,29 @@ def test_constant_takes_the_shape_of_its_wire() -> None:
 def test_matrix_gain_is_a_matrix_product() -> None:
     matrix, vector = rng.normal(size=(3, 4)), rng.normal(size=4)
     np.testing.assert_allclose(output("matrix_gain", {"gain": matrix}, input=vector), matrix @ vector, rtol=1e-14)
+
+
+@pytest.mark.parametrize("spacing", ["logarithmic", "linear"])
+def test_chirp_is_that_of_scipy_and_its_rate_the_derivative(spacing: str) -> None:
+    values = {"amplitude": [2.0, 0.0], "first": 2 * np.pi * 3, "last": 2 * np.pi * 70, "start": 0.5, "duration": 4.0}
+
+    def found(time: float, name: str = "output") -> np.ndarray:
+        return prepare("chirp", parameters=values, options={"spacing": spacing}).evaluate(time=time).outputs[name]
+
+    for time in (0.7, 1.9, 4.4):
+        expected = chirp(time - 0.5, 3.0, 4.0, 70.0, method=spacing, phi=-90)
+        np.testing.assert_allclose(found(time), [2 * expected, 0.0], atol=1e-11)
+        step = 1e-6
+        slope = (found(time + step) - found(time - step)) / (2 * step)
+        np.testing.assert_allclose(found(time, "rate"), slope, rtol=1e-6, atol=1e-6)
+    for time in (0.49, 4.51):
+        np.testing.assert_array_equal([found(time), found(time, "rate")], np.zeros((2, 2)))
+
+
+def test_a_logarithmic_chirp_may_stay_at_one_frequency() -> None:
+    values = {"first": 20.0, "last": 20.0, "duration": 3.0}
+    result = prepare("chirp", parameters=values).evaluate(time=1.3)
+    np.testing.assert_allclose(result.outputs["output"], np.sin(20.0 * 1.3), rtol=1e-6)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

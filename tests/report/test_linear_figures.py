@@ -9,7 +9,8 @@ from rotorsim.linear.campbell import Campbell, Crossing, campbell
 from rotorsim.linear.frequency import FrequencyResponse, frequency_response
 from rotorsim.linear.margins import margins
 from rotorsim.model.load import load
-from rotorsim.report.figures.linear import campbell_figure, frequency_response_figure, margins_figure, periodic_figure
+from rotorsim.report.figures.linear import campbell_figure, frequency_response_figure, periodic_figure
+from rotorsim.report.figures.margins import margins_figure
 from rotorsim.report.figures.run import save_figure
 from rotorsim.report.style import BLUE, ORANGE
 from rotorsim.settled.result import Periodic

@@ -1,4 +1,4 @@
-"""Figures of linear analyses: Campbell diagram, frequency response, stability margins, speed curves."""
+"""Figures of linear analyses: Campbell diagram, frequency response, speed curves, modes."""
 
 from __future__ import annotations
 
@@ -12,19 +12,29 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import Bbox
 
-from rotorsim.report.style import BLUE, GREEN, GREY, ORANGE, RED, ZERO_SHARE, display, figure, phase_line, styled
+from rotorsim.report.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    LINE_STYLES,
+    ORANGE,
+    RED,
+    ZERO_SHARE,
+    display,
+    figure,
+    phase_line,
+    styled,
+)
 from rotorsim.report.text.table import rpm
 
 if TYPE_CHECKING:
     from rotorsim.linear.campbell import Campbell
     from rotorsim.linear.eigenmodes import Modes
     from rotorsim.linear.frequency import FrequencyResponse
-    from rotorsim.linear.margins import Margins
     from rotorsim.settled.result import Periodic
 
 
 LABEL_OFFSETS = (-13, 5, -25, 17, -37, 29, -49, 41)  # points below or above a mark at which its speed is written
-LINE_STYLES = ("-", "--", ":", "-.")  # of curves that may lie on each other
 _WHIRL = {"forward": (BLUE, "-"), "backward": (ORANGE, "--"), "planar": (GREEN, ":")}
 
 
@@ -143,36 +153,6 @@ def frequency_response_figure(response: FrequencyResponse, title: str = "") -> F
     lower.yaxis.set_major_locator(MultipleLocator(90))
     if drawn:
         upper.legend(loc="lower left")
-    return made
-
-
-@styled()
-def margins_figure(result: Margins, title: str = "") -> Figure:
-    """Return |S| of every axis over the zones of ISO 14839-3, and its open loop G_o in magnitude and phase."""
-    made = figure(7.5, 7.5, title or str(result.provenance.get("diagram", "")))
-    upper, middle, lower = made.subplots(3, 1, sharex=True, height_ratios=(3, 2, 2))
-    S = np.abs(np.diagonal(result.sensitivity, axis1=1, axis2=2))
-    top = max(6.0, 1.15 * float(np.nanmax([S.max(), np.nanmax(result.singular, initial=0.0)])))
-    zones = ((0, 3, "A", "#dff0e3"), (3, 4, "B", "#eef3d2"), (4, 5, "C", "#fbe8c8"), (5, top, "D", "#f7d4cb"))
-    for low, high, name, colour in zones:
-        upper.axhspan(low, high, color=colour, zorder=0)
-        upper.annotate(name, (0.985, (low + high) / 2), xycoords=("axes fraction", "data"), ha="right", va="center")
-    for k, (axis, G) in enumerate(zip(result.axes, result.open_loop().T, strict=True)):
-        peak = f"peak {axis.peak:.2f} at {axis.frequency:.0f} Hz" if result.stable else "closed loop unstable"
-        label = f"{axis.name}: {peak}, zone {axis.zone}"
-        line = LINE_STYLES[k % 4]
-        upper.semilogx(result.frequencies, S[:, k], line, label=label)
-        middle.loglog(result.frequencies, np.abs(G), line)
-        lower.semilogx(*phase_line(result.frequencies, G), line)
-    if np.isfinite(result.singular).any():
-        upper.semilogx(
-            result.frequencies, result.singular, color=GREY, lw=0.8, zorder=1.9, label="largest singular value"
-        )
-    middle.axhline(1.0, color=GREY, lw=0.8)
-    upper.set(ylabel="sensitivity |S|", ylim=(0, top), xmargin=0)
-    middle.set(ylabel="open loop |G_o|")
-    lower.set(ylabel="phase of G_o [deg]", xlabel="frequency [Hz]", ylim=(-190, 190), yticks=range(-180, 181, 90))
-    upper.legend(loc="upper left")
     return made
 
 
