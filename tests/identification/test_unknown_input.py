@@ -353,3 +353,17 @@ def test_the_motion_is_smoothed_whatever_the_first_place_shows():
     G[:, :, 0], D[:, :, 0] = 0.0, 0.0
     [motion] = smoothed_motion([replace(run, G=G, D=D)], NOISE)
     np.testing.assert_array_equal(motion, smoothed_motion([run], NOISE)[0])
+
+
+def test_a_filter_that_overflows_leaves_the_others(monkeypatch):
+    """FAULT of an earlier version: a diagnosis of a ball that rolls off its beam ended with a LinAlgError."""
+    _, runs = analysed(recorded(1, slow(1), 0))
+    unknown, innovations = UnknownInputs(runs, NOISE), UnknownInputs._innovations
+    expected = [item.place for item in unknown.estimates()]
+
+    def overflowing(self, pairs):
+        total, log_dets, kept = innovations(self, pairs)
+        return np.where(np.arange(len(kept))[:, None, None] == 0, np.nan, total), log_dets, kept
+
+    monkeypatch.setattr(UnknownInputs, "_innovations", overflowing)
+    assert [item.place for item in unknown.estimates()] == expected

@@ -152,14 +152,15 @@ class UnknownInputs:
         while left and strengths[-1] <= STRONGEST:
             sums, log_dets, kept = self._innovations([Hypothesis(place, q) for place in left for q in strengths])
             for (place, q, _), G, log_det in zip(kept, sums, log_dets, strict=True):
+                if not (np.isfinite(G).all() and np.isfinite(log_det)):
+                    continue  # a filter that does not hold motion that grows overflows
                 size = np.sqrt(np.maximum(np.diag(G)[1:], 0.0))  # or units decide what can be told
                 size[size == 0] = 1.0
                 scaled = np.linalg.lstsq(G[1:, 1:] / np.outer(size, size), G[1:, 0] / size, rcond=INFORMATION_RANK)
                 change = scaled[0] / size
                 misfit = float(G[0, 0] - G[0, 1:] @ change)
                 found = SignalEstimate(place, misfit, misfit + float(log_det), q, float(self.scales[place]), change)
-                lost = not np.isfinite(found.deviance)
-                if not lost and (place not in best or found.deviance < best[place].deviance):
+                if np.isfinite(found.deviance) and (place not in best or found.deviance < best[place].deviance):
                     best[place] = found
             left = [place for place in left if place in best and best[place].strength == strengths[-1]]
             strengths = [strengths[-1] * strengths[-1] / strengths[-2]]
