@@ -98,6 +98,10 @@ PICTURES = {
         ),
         "spectrum.png",
     ),
+    "frequency.png": Picture(
+        ('frequency fe_rigid --from amb.force --to "rotor.displacement[3,1]" --range "10 Hz:500 Hz" --plot bode.png',),
+        "bode.png",
+    ),
     "margins.png": Picture(("margins two_amb_rotor --plot margins.png",), "margins.png"),
     "margins_measured.png": Picture((INJECTED, "margins swept --beside jeffcott --plot measured.png"), "measured.png"),
     "orders_bode.png": Picture(

@@ -35,6 +35,7 @@ VERBS = {
     "diff": "Say what differs between two diagrams, apart from layout and spelling.",
     "modes": "Natural frequencies, damping ratios and whirl of the linearised diagram.",
     "campbell": "Natural frequencies against speed, tracked.",
+    "frequency": "Frequency response from a port to a signal: Bode plot, peaks.",
     "margins": "Stability margins of bearing loops after ISO 14839-3, of a diagram or of an injected sweep.",
     "periodic": "The settled motion at one or many speeds by harmonic balance.",
     "spectrum": "Full spectrum and harmonics of two-axis signals of a recording, a result or a diagram.",

@@ -13,10 +13,12 @@ import click
 
 from rotorsim.cli.shared import (
     Chosen,
+    band_of,
     check_folder,
     clock_of,
     diagram_options,
     gains_of,
+    hertz,
     json_option,
     noise_kind_option,
     note,
@@ -45,8 +47,6 @@ MOST_RECORDED_RUNS = 10_000
 SAMPLES_PER_TURN = 4.0  # samples a turn
 KEPT_SHARE = 0.2  # of the run that is kept, at its end
 START_SHARE = 0.1  # of a run, before a test signal is injected
-RATE_EXAMPLES = {"--rate": "5000 Hz", "--sweep": "5 Hz:2000 Hz"}
-HERTZ = {"": 1.0, "Hz": 1.0, "kHz": 1e3, "MHz": 1e6}
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def command(
     )
     span = window_of(window) if window else None
     refuse_if(span and span[0] < 0, f"--window {window}: begins before the run", hint="runs begin at t = 0")
-    hertz, level = _hertz(rate) if rate else None, _level(noise) if noise else 0.0
+    samples, level = hertz(rate, "--rate", "sample rate", "5000 Hz") if rate else None, _level(noise) if noise else 0.0
     at, held = _speeds(speeds, hold_out)
     known = [gains_of(text) for text in gains] or [{}]
     _limit(len(at) * len(known))
@@ -163,7 +163,7 @@ def command(
     from rotorsim.model.compiled import model_for_runs
     from rotorsim.recordings.writing import NewRun, save_recording
 
-    plan = Plan(span, settle, hertz, Noise(level, noise_kind, seed) if level else None)
+    plan = Plan(span, settle, samples, Noise(level, noise_kind, seed) if level else None)
     cases = list(itertools.product(zip(map(model_for_runs, diagrams), known, strict=True), at, axes))
     width = max(len(str(len(cases))), 2)
     runs: list[NewRun] = []
@@ -292,7 +292,7 @@ def _with_sweeps(
 
     units = {one.port: one.unit for one in injections(diagrams[0], ports) if one.rate_of is None}
     refuse_if(amplitude is None, "--inject needs --amplitude", hint="for example --amplitude '1 um'")
-    first, last = (_hertz(part, "--sweep") for part in (*sweep.split(":"), "")[:2])
+    first, last = band_of(sweep, "--sweep")
     size = {port: quantity(amplitude or "", unit, "--amplitude") for port, unit in units.items()}
     refuse_if(min(size.values()) <= 0, f"--amplitude {amplitude}: not above zero")
     plan = Sweep(first, last, size)
@@ -354,22 +354,6 @@ def _moves(model: Model, name: str) -> bool:
         return True
     expression = model.expression(name)
     return not (expression.is_constant() and expression.is_zero())
-
-
-def _hertz(text: str, option: str = "--rate") -> float:
-    """Return a sample rate, or another frequency [Hz]: samples are counted in a second, never in a turn."""
-    from rotorsim.units import UnitError, split_quantity
-
-    try:
-        rate, unit = split_quantity(text)
-    except UnitError:
-        rate, unit = 0.0, ""
-    refuse_if(
-        not 1e-6 <= rate * HERTZ.get(unit, 0.0) <= 1e12,
-        f"{option} {text}: not a {'sample rate' if option == '--rate' else 'frequency'}",
-        hint=f"for example {option} '{RATE_EXAMPLES[option]}'",
-    )
-    return rate * HERTZ[unit]
 
 
 def _level(text: str) -> float:

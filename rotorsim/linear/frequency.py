@@ -1,26 +1,54 @@
-"""Frequency response between ports."""
+"""Frequency response between ports, and its peaks."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from rotorsim._shown import Shown, xarray_module
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.linearisation import as_model, linearise
-from rotorsim.linear.stability import growing
+from rotorsim.linear.linearisation import (
+    as_model,
+    entry_names,
+    flat_names,
+    given_units,
+    linearise,
+    provenance,
+    units_of,
+)
+from rotorsim.linear.loop import linear_system
+from rotorsim.linear.sampled_data import SampledData
+from rotorsim.linear.stability import growing, growing_multipliers
+from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
+
+DEFAULT_RANGE = (0.1, 2000.0)  # Hz
+POINTS_A_DECADE = 150
+AROUND_A_POLE = np.linspace(-3, 3, 13)  # half widths
+ZERO_PART = 1e-9  # of the largest response: rounding
+
+
+@dataclass(frozen=True)
+class ResponsePeak:
+    """A maximum of the size of a response: frequency [Hz], value, output per input."""
+
+    output: str
+    input: str
+    frequency: float
+    value: complex
 
 
 @dataclass(frozen=True, repr=False)
 class FrequencyResponse(Shown):
     """Complex response: value[k] (outputs, inputs) at frequencies[k] [Hz].
 
-    outputs, inputs: flat names; units: text of output unit per input unit, same shape as value[k].
+    outputs, inputs: flat names; units: text of output unit per input unit, same shape as value[k]. peaks: maxima of the
+    size of each entry.
     """
 
     frequencies: np.ndarray
@@ -29,6 +57,7 @@ class FrequencyResponse(Shown):
     inputs: tuple[str, ...]
     units: tuple[tuple[str, ...], ...]
     stable: bool
+    peaks: tuple[ResponsePeak, ...] = ()
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -56,33 +85,82 @@ def frequency_response(
     input: str,
     output: str,
     *,
-    frequencies: Sequence[float] | np.ndarray,
+    frequencies: Sequence[float] | np.ndarray | None = None,
+    span: tuple[float, float] = DEFAULT_RANGE,
     parameters: Mapping[str, Any] | None = None,
     at: np.ndarray | None = None,
     open_loop: bool = False,
 ) -> FrequencyResponse:
-    """Return the response of a signal to a disturbance added at an output port, loops closed.
+    """Return the response of a signal to a disturbance added at a port, loops closed, and its peaks.
 
-    G(f) = C (i 2 pi f I - A)^-1 B + D at frequencies [Hz]. input: an output port such as
-    ``controller.current``; with open_loop the loop is opened there. output: a signal or a part of one.
+    G(f) = C (i 2 pi f I - A)^-1 B + D at frequencies [Hz] (default: over a span [Hz], dense at every pole). input:
+    a port such as ``controller.current``; with open_loop the loop is opened there. output: a signal or a part of one.
+    With sampled blocks it is the component of the output at the frequency of the input, exactly. Peaks are looked for
+    between the lowest and the highest frequency.
 
-    Raises RotorsimError as `linearise`, and for frequencies that are not finite.
+    Raises RotorsimError as `linearise`, for sampled blocks with open_loop or in a diagram that is not linear, and for
+    frequencies that are not finite.
     """
-    hz = np.atleast_1d(np.asarray(frequencies, float)).ravel()
+    model = as_model(diagram, *(((), (input,)) if open_loop else ((input,), ())))
+    system: StateSpace | SampledData
+    if open_loop:
+        system = linearise(model, parameters=parameters, inputs=(input,), outputs=(output,), at=at, open_loop=True)
+        notes = system.notes
+    else:
+        system, notes = linear_system(model, (input,), (output,), parameters, at)
+    hz = frequencies_near(system.poles(), *span) if frequencies is None else np.asarray(frequencies, float)
+    hz = np.atleast_1d(hz).ravel()
     if not np.isfinite(hz).all():
         raise RotorsimError(Problem(what="frequencies must be finite [Hz]", subject="frequencies"))
-    model = as_model(diagram, *(((), (input,)) if open_loop else ((input,), ())))
-    system = linearise(model, parameters=parameters, inputs=(input,), outputs=(output,), at=at, open_loop=open_loop)
-    return FrequencyResponse(
+    given = model.trace.external[input]
+    above, below = units_of(model, (output,)), given_units(model, given)
+    outputs, inputs = flat_names(model, output), entry_names(given.name, given.shape)
+    is_stable = (
+        not len(growing_multipliers(system.monodromy)) if isinstance(system, SampledData) else not growing(system.A)
+    )
+    found = FrequencyResponse(
         frequencies=hz,
         value=system.response(hz),
-        outputs=system.outputs,
-        inputs=system.inputs,
-        units=tuple(tuple(_ratio(y, u) for u in system.input_units) for y in system.output_units),
-        stable=not growing(system.A),
-        notes=system.notes,
-        provenance={**system.provenance, "analysis": "frequency_response"},
+        outputs=tuple(outputs),
+        inputs=tuple(inputs),
+        units=tuple(tuple(_ratio(y, u) for u in below) for y in above),
+        stable=is_stable,
+        notes=notes,
+        provenance=provenance(model, parameters, "frequency_response"),
     )
+    return replace(found, peaks=tuple(_peaks(system, found)))
+
+
+def frequencies_near(poles: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Return frequencies [Hz] from low to high, logarithmic, and dense at the poles [1/s] in between."""
+    width = np.abs(poles.real) / (2 * np.pi)
+    near = ((np.abs(poles.imag) / (2 * np.pi))[:, None] + width[:, None] * AROUND_A_POLE).ravel()
+    count = max(round(POINTS_A_DECADE * np.log10(high / low)), 2)
+    return np.unique(np.concatenate([np.geomspace(low, high, count), near[(near > low) & (near < high)]]))
+
+
+def _peaks(system: StateSpace | SampledData, found: FrequencyResponse) -> Iterator[ResponsePeak]:
+    """Yield the maxima of every entry, the poles of the system looked at closely; pair by pair, ascending."""
+    if len(found.frequencies) < 2 or not 0 < (low := float(found.frequencies.min())) < (
+        high := found.frequencies.max()
+    ):
+        return
+    hz = np.union1d(found.frequencies, frequencies_near(system.poles(), low, float(high)))
+    size = np.abs(system.response(hz))
+    for o, i in np.ndindex(size.shape[1:]):
+        values = size[:, o, i]
+        for k in np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])) + 1:
+            if values[k] > ZERO_PART * size.max():
+
+                def smaller(f: float, o: int = o, i: int = i) -> float:
+                    return -float(np.abs(system.response(f)[0, o, i]))
+
+                best = minimize_scalar(
+                    smaller, bounds=(hz[k - 1], hz[k + 1]), method="bounded", options={"xatol": 1e-9 * hz[k]}
+                )
+                yield ResponsePeak(
+                    found.outputs[o], found.inputs[i], float(best.x), complex(system.response(best.x)[0, o, i])
+                )
 
 
 def _ratio(above: str, below: str) -> str:

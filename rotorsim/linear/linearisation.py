@@ -332,19 +332,22 @@ def linearise(
         states=names,
         inputs=tuple(name for u in given for name in entry_names(u.name, u.shape)),
         outputs=tuple(name for output in outputs for name in flat_names(model, output)),
-        input_units=tuple(
-            (model.select(u.name)[0] if u.name in model.signals else u).unit or "1"
-            for u in given
-            for _ in range(size_of(u.shape))
-        ),
-        output_units=_units(model, outputs),
+        input_units=tuple(unit for u in given for unit in given_units(model, u)),
+        output_units=units_of(model, outputs),
         x=x,
         notes=tuple(notes),
         provenance=provenance(model, parameters, "linearise"),
     )
 
 
-def _units(model: Model, names: Sequence[str]) -> tuple[str, ...]:
+def given_units(model: Model, given: Any) -> tuple[str, ...]:
+    """Return the unit of each entry of an external input."""
+    signal = model.select(given.name)[0] if given.name in model.signals else given
+    return (signal.unit or "1",) * size_of(given.shape)
+
+
+def units_of(model: Model, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the unit of each entry of signals."""
     found = [model.select(name) for name in names]
     return tuple(signal.unit or "1" for signal, positions in found for _ in positions)
 

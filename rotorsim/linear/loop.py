@@ -144,16 +144,9 @@ class Loop:
         ports = tuple(dict.fromkeys(one.port for one in given))
         signals = [one.signal for one in given]
         self.model = as_model(diagram, ports)
-        self.system: StateSpace | SampledData
-        self._notes: tuple[str, ...] = ()
-        self.is_sampled = bool(self.model.n_z)
-        if self.is_sampled:
-            part = _linear_model(self.model, ports, signals, parameters)
-            self.system = _sampled(part, self.model)
-            self.fastest_rate = 1 / min(part.periods)
-        else:
-            linear = linearise(self.model, parameters=parameters, inputs=ports, outputs=signals, at=at)
-            self.system, self._notes = linear, linear.notes
+        self.system, self._notes = linear_system(self.model, ports, signals, parameters, at)
+        self.is_sampled = isinstance(self.system, SampledData)
+        self.fastest_rate = 1 / self.system.shortest if isinstance(self.system, SampledData) else np.inf
 
     def sensitivity(self, frequencies: Any) -> np.ndarray:
         """Return S (n, m, m) of the axes at frequencies [Hz]: V1 = S E."""
@@ -201,6 +194,23 @@ def _growing(system: StateSpace | SampledData) -> np.ndarray:
     if isinstance(system, SampledData):
         return np.asarray(np.log(growing_multipliers(system.monodromy).astype(complex)) / system.period)
     return growing(system.A).poles
+
+
+def linear_system(
+    model: Model,
+    ports: Sequence[str],
+    signals: Sequence[str],
+    parameters: Mapping[str, Any] | None = None,
+    at: np.ndarray | None = None,
+) -> tuple[StateSpace | SampledData, tuple[str, ...]]:
+    """Return a diagram, linear, from signals added at ports to signals, with sampled blocks exactly; and notes.
+
+    Raises RotorsimError as `linearise`, and for sampled blocks in a diagram that is not linear.
+    """
+    if not model.n_z:
+        linear = linearise(model, parameters=parameters, inputs=ports, outputs=signals, at=at)
+        return linear, linear.notes
+    return _sampled(_linear_model(model, ports, signals, parameters), model), ()
 
 
 def _linear_model(

@@ -28,12 +28,16 @@ MOST_HITS = 10_000  # of a common period: so many matrices are multiplied for ea
 
 @dataclass(frozen=True, eq=False)
 class SampledData:
-    """A linear system between hits, and the jumps J (n, n), K (n, m) at times from 0 to below a common period [s]."""
+    """A linear system between hits, and the jumps J (n, n), K (n, m) at times from 0 to below a common period [s].
+
+    shortest: period of the fastest sampler [s].
+    """
 
     flow: StateSpace
     times: tuple[float, ...]
     jumps: tuple[tuple[np.ndarray, np.ndarray], ...]
     period: float
+    shortest: float = np.inf
 
     @classmethod
     def of(cls, model: LinearModel) -> SampledData | None:
@@ -42,7 +46,7 @@ class SampledData:
             return None
         times = [0.0, *model.hits(0.0, period - min(model.periods) / 2)]
         flow = StateSpace(model.A, model.B, model.C, model.D)
-        return cls(flow, tuple(times), tuple(model.at_hit(t) for t in times), period)
+        return cls(flow, tuple(times), tuple(model.at_hit(t) for t in times), period, min(model.periods))
 
     @cached_property
     def lengths(self) -> np.ndarray:

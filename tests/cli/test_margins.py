@@ -124,7 +124,7 @@ def test_what_is_refused(run: Run, arguments: list[str], text: str | None) -> No
     ("more", "text"),
     [
         (["--settle"], "--inject records its loops alone: no --signal, --settle, --hold-out\n"),
-        (["--sweep", "20 Hz"], "--sweep : not a frequency\n\nhint: for example --sweep '5 Hz:2000 Hz'\n"),
+        (["--sweep", "20 Hz"], "--sweep 20 Hz: not LOW:HIGH\n\nhint: for example --sweep '5 Hz:2000 Hz'\n"),
         (["--amplitude", "-1 um"], "--amplitude -1 um: not above zero\n"),
         (["--amplitude", "1 A"], None),
         (["--inject", "controller.nothing"], None),

@@ -19,6 +19,7 @@ PAGES = [
     "docs/cosimulation.md",
     "docs/diagnosis.md",
     "docs/diagrams.md",
+    "docs/frequency.md",
     "docs/identification.md",
     "docs/margins.md",
     "docs/orders.md",

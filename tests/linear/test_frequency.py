@@ -1,5 +1,6 @@
 """Frequency response against closed forms."""
 
+import json
 import math
 
 import numpy as np
@@ -7,6 +8,9 @@ import pytest
 
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.frequency import frequency_response
+from rotorsim.linear.linearisation import linearise
+from rotorsim.linear.margins import margins
+from rotorsim.model.load import load
 from tests.reference.handmade import jeffcott
 
 
@@ -32,3 +36,36 @@ def test_frequencies_must_be_finite():
         frequency_response(
             jeffcott(external="inject"), "controller.current", "rotor.displacement", frequencies=[float("inf")]
         )
+
+
+def test_peaks_are_those_of_the_closed_form_whatever_frequencies_are_asked_for():
+    found = frequency_response(load("jeffcott"), "unbalance.force", "rotor.displacement", frequencies=[1.0, 2000.0])
+    [peak, _] = found.peaks
+    m, c, k = 2.0, 76.0 + 42.1 * 3.0, 7.6e5 - 105210 + 42.1 * 12200
+    hz = np.linspace(115, 125, 1_000_001)
+    s = 2j * math.pi * hz
+    size = np.abs(1 / (m * s**2 + c * s + k + 42.1 * 2000.0 / s))
+    assert (peak.output, peak.input) == ("rotor.displacement[1]", "unbalance.force[1]")
+    assert peak.frequency == pytest.approx(hz[np.argmax(size)], abs=2e-5)
+    assert abs(peak.value) == pytest.approx(size.max(), rel=1e-9)
+    assert frequency_response(load("jeffcott"), "unbalance.force", "rotor.displacement", span=(200, 300)).peaks == ()
+
+
+def test_a_narrow_peak_of_a_flexible_mode_is_not_passed_over():
+    found = frequency_response(load("fe_flexible"), "amb.force", "rotor.displacement[3]", span=(1.0, 2000.0))
+    poles = linearise(load("fe_flexible")).poles()
+    narrow = poles[(poles.imag > 0) & (-poles.real < 0.01 * poles.imag) & (poles.imag < 4000 * math.pi)]
+    places = np.array([peak.frequency for peak in found.peaks])
+    assert len(narrow)
+    assert all(np.abs(places / (pole.imag / 2 / math.pi) - 1).min() < 0.02 for pole in narrow)
+
+
+def test_sampled_blocks_are_treated_exactly():
+    """The response of the controller's output to what is added to it is S - 1."""
+    document = json.loads(json.dumps(load("jeffcott").document))
+    document["blocks"]["controller"] = {"type": "discrete_pid"}
+    hz = np.array([5.0, 120.0, 900.0])
+    found = frequency_response(load(document), "controller.current", "controller.current", frequencies=hz)
+    truth = margins(load(document), "controller.current", frequencies=hz)
+    np.testing.assert_allclose(np.eye(2) + found.value, truth.sensitivity, rtol=1e-12)
+    assert found.stable

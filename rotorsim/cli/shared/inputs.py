@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
 
 
+HERTZ = {"": 1.0, "Hz": 1.0, "kHz": 1e3, "MHz": 1e6}
 MAX_SPEEDS = 100_000
 RECORDING = "recording.json"
 NEXT = re.compile(r",(?=\s*[A-Za-z_][\w/.]*\s*=)")  # a comma before NAME=, not one inside a list
@@ -231,6 +232,30 @@ def quantity(text: str, unit: str, option: str) -> float:
         return parse_quantity(text, unit, bare=True)
     except UnitError as error:
         raise RotorsimError(Problem(f"{option} {text}: {error.what}", hint=error.hint)) from None
+
+
+def hertz(text: str, option: str, what: str = "frequency", example: str = "5 Hz:2000 Hz") -> float:
+    """Return a frequency [Hz]: samples and swings are counted in a second, never in a turn."""
+    from rotorsim.units import UnitError, split_quantity
+
+    try:
+        value, unit = split_quantity(text)
+    except UnitError:
+        value, unit = 0.0, ""
+    refuse_if(
+        not 1e-6 <= value * HERTZ.get(unit, 0.0) <= 1e12,
+        f"{option} {text}: not a {what}",
+        hint=f"for example {option} '{example}'",
+    )
+    return value * HERTZ[unit]
+
+
+def band_of(text: str, option: str) -> tuple[float, float]:
+    """Return the ends [Hz] of a text such as ``"5 Hz:2000 Hz"``."""
+    ends = [hertz(part.strip(), option) for part in text.split(":")]
+    hint = f"for example {option} '5 Hz:2000 Hz'"
+    refuse_if(len(ends) != 2 or ends[-1] <= ends[0], f"{option} {text}: not LOW:HIGH", hint=hint)
+    return ends[0], ends[1]
 
 
 def window_of(window: str) -> tuple[float, float]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from rotorsim.block import Shape, flatten, size_of, unflatten
 from rotorsim.diagram.diagram import Diagram, Endpoint
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.model.trace.block import BlockTrace
 from rotorsim.model.trace.loops import solve_loop
 from rotorsim.model.trace.order import Key, block_traces, evaluation_groups, evaluation_order, feedthrough_graph
@@ -140,8 +140,10 @@ class _Tracer:
     def _port_key(self, name: str, taken: bool = False) -> Key:
         block, _, port = name.rpartition(".")
         node = self.diagram.nodes.get(block)
-        if node is None or not (port in node.outputs or (taken and port in node.inputs)):
-            raise RotorsimError(Problem(what=f"no such {'port' if taken else 'output port'}", subject=name))
+        known = () if node is None else (*node.outputs, *(node.inputs if taken else ()))
+        if port not in known:
+            hint = near_miss(port, known) if known else near_miss(block, self.diagram.nodes)
+            raise RotorsimError(Problem(f"no such {'port' if taken else 'output port'}", name, hint=hint))
         return block, port
 
     def _is_additive(self, block: str, port: str) -> bool:

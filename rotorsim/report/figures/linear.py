@@ -22,6 +22,7 @@ from rotorsim.report.style import (
     ZERO_SHARE,
     display,
     figure,
+    legend_below,
     phase_line,
     styled,
 )
@@ -152,7 +153,7 @@ def frequency_response_figure(response: FrequencyResponse, title: str = "") -> F
     lower.set(ylabel="phase [deg]", xlabel="frequency [Hz]", xmargin=0)
     lower.yaxis.set_major_locator(MultipleLocator(90))
     if drawn:
-        upper.legend(loc="lower left")
+        legend_below(made, upper, 2)
     return made
 
 
