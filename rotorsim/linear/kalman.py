@@ -17,6 +17,7 @@ import numpy as np
 
 from rotorsim.linear import kalman_in_c
 from rotorsim.linear.sampled import outputs
+from rotorsim.linear.state_space import solved
 
 DOUBLINGS = 30  # of the samples that a steady filter has seen: 1e9. From 40 on rounding decides where there is none
 CONVERGED = 1e-12  # relative change from which on there is one
@@ -173,7 +174,7 @@ def steady_variance(F: np.ndarray, H: np.ndarray, Q: np.ndarray) -> tuple[np.nda
     with np.errstate(all="ignore"):
         for _ in range(DOUBLINGS):
             W = np.where(np.isfinite(G).all(axis=(1, 2))[:, None, None], one + G @ P, one)
-            WA, WG = np.linalg.solve(W, A), np.linalg.solve(W, G)
+            WA, WG = solved(W, A), solved(W, G)
             more = A.swapaxes(1, 2) @ P @ WA
             A, G, P = A @ WA, G + A @ WG @ A.swapaxes(1, 2), P + (more + more.swapaxes(1, 2)) / 2
             done = np.abs(more).max(axis=(1, 2)) <= CONVERGED * np.abs(P).max(axis=(1, 2))

@@ -118,6 +118,15 @@ def test_steady_filters_are_those_of_the_riccati_equation():
     np.testing.assert_allclose(F[0] @ P @ (F[0] - K @ H[0]).T + Q[0], P, rtol=1e-9, atol=1e-9 * np.abs(P).max())
 
 
+def test_a_variance_beyond_rounding_has_no_steady_filter_and_leaves_the_others():
+    """FAULT of an earlier version: 1 + 1e20 is 1e20, and a singular matrix ended the diagnosis of a ball on a beam."""
+    F, Q = np.tile(0.5 * np.eye(2), (2, 1, 1)), np.tile(np.eye(2), (2, 1, 1))
+    H = np.array([[[1.0, 0.0]], [[1e10, 1e10]]])
+    found, steady = riccati(F, H, Q)
+    assert steady.tolist() == [True, False]
+    np.testing.assert_allclose(found[0], solve_discrete_are(F[0].T, H[0].T, Q[0], np.eye(1)), rtol=1e-9)
+
+
 def test_a_filter_that_diverges_is_none_and_leaves_the_others():
     """FAULT: the variance of one hypothesis that lost all digits stopped a diagnosis with a LinAlgError."""
     F, H = np.tile(0.5 * np.eye(2), (3, 1, 1)), np.tile(np.array([[1.0, 1.0]]), (3, 1, 1))
