@@ -16,18 +16,20 @@ from rotorsim.cli.shared import (
     note_mistakes,
     parse_settings,
     problem_data,
+    refuse_all,
     set_option,
     show_problems,
     trust_option,
     without_option,
 )
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.recordings.orders import OrderRecording
 
-OF_ROTATION = ("missing_channel", "no_phase_reference", "swapped_axes")  # which loops need not have
+# Of recordings for identification: loops may be at rest, are injected at one by one, and are repeated.
+OF_ROTATION = ("missing_channel", "no_phase_reference", "swapped_axes", "constant_signal", "two_runs_alike")
 Found = tuple[dict[str, Any], Sequence[Problem], int, str]  # entry for --json, problems, exit code, what it holds
 
 
@@ -123,14 +125,21 @@ def _injection(entry: dict[str, Any], name: str, against: Diagram | None) -> Fou
     """Return the same of a recording of an injected test signal. Raises RotorsimError for ports a diagram has not."""
     from rotorsim.linear.loop import injections
     from rotorsim.measure.checks import check_signals
-    from rotorsim.recordings.injection import load_injection
+    from rotorsim.recordings.injection import load_injection, port_of
     from rotorsim.report.text.table import counted
 
     recording = load_injection(name)
     if against is not None:
-        injections(against, list(dict.fromkeys(axis.partition("[")[0] for axis in recording.loops)))
+        known = [one.name for one in injections(against, list(dict.fromkeys(map(port_of, recording.loops))))]
+        refuse_all(
+            [
+                Problem("no such entry", name, hint=near_miss(name, known))
+                for name in recording.loops
+                if name not in known
+            ]
+        )
     found = [*recording.warnings, *check_signals(recording)]
-    problems = [problem for problem in found if problem.code not in OF_ROTATION]
+    problems = [one for one in found if one.severity == "error" or one.code not in OF_ROTATION]
     entry |= {"kind": "injection", "axes": len(recording.loops), "runs": len(recording.runs)}
     axes = "1 axis" if entry["axes"] == 1 else f"{entry['axes']} axes"
     line = f"injection at {axes}, {counted(entry['runs'], 'run')}"

@@ -111,11 +111,17 @@ def _modelled(diagram: str, trust_blocks: bool, measured: MeasuredMargins) -> Ma
     """Return the margins of a diagram at the speed and with the settings of what was measured."""
     from rotorsim.linear.margins import margins
     from rotorsim.model.load import load
+    from rotorsim.recordings.injection import port_of
 
     loaded = load(diagram, set=measured.settings, trust_blocks=trust_blocks)
     show_problems(loaded.warnings)
-    ports = list(dict.fromkeys(axis.name.partition("[")[0] for axis in measured.axes))
-    return margins(loaded, ports, parameters=_speed(loaded, measured))
+    found = margins(loaded, [port_of(axis.name) for axis in measured.axes], parameters=_speed(loaded, measured))
+    known = [axis.name for axis in found.axes]
+    missing = [axis.name for axis in measured.axes if axis.name not in known]
+    refuse_if(
+        missing, f"{diagram} has no {', '.join(missing)}", f"--beside {diagram}", hint=f"it has {', '.join(known)}"
+    )
+    return found
 
 
 def _speed(diagram: Diagram, measured: MeasuredMargins) -> dict[str, float]:

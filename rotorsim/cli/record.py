@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 MOST_RECORDED_RUNS = 10_000
 SAMPLES_PER_TURN = 4.0  # samples a turn
 KEPT_SHARE = 0.2  # of the run that is kept, at its end
+LEAST_PER_PERIOD = 0.45  # of the sample rate: the highest frequency that is told
 START_SHARE = 0.1  # of a run, before a test signal is injected
 
 
@@ -153,10 +154,13 @@ def command(
     diagrams = _diagrams(chosen, known)
     injected: dict[str, tuple[str, str, str]] = {}
     axes: list[tuple[str, dict[str, Any]]] = [("", {})]
+    refuse_if(
+        not ports and amplitude, "--amplitude needs --inject", hint="for example --inject controller.displacement"
+    )
     if ports:
         refuse_if(signals or settle or hold_out, "--inject records its loops alone: no --signal, --settle, --hold-out")
         span = span or (START_SHARE * diagrams[0].solver.stop, diagrams[0].solver.stop)
-        diagrams, injected, axes = _with_sweeps(diagrams, chosen, ports, sweep, amplitude, span)
+        diagrams, injected, axes = _with_sweeps(diagrams, chosen, ports, sweep, amplitude, span, samples)
         _limit(len(at) * len(known) * len(axes))
     measured = list(injected) or list(signals) or _two_axis(diagrams[0])
     from rotorsim.measure.record import Noise
@@ -284,6 +288,7 @@ def _with_sweeps(
     sweep: str,
     amplitude: str | None,
     window: tuple[float, float],
+    rate: float | None,
 ) -> tuple[list[Diagram], dict[str, tuple[str, str, str]], list[tuple[str, dict[str, Any]]]]:
     """Return diagrams with sweeps in them, what their signals are of the loops, and the parameters of each axis."""
     from rotorsim.linear.loop import injections
@@ -293,6 +298,13 @@ def _with_sweeps(
     units = {one.port: one.unit for one in injections(diagrams[0], ports) if one.rate_of is None}
     refuse_if(amplitude is None, "--inject needs --amplitude", hint="for example --amplitude '1 um'")
     first, last = band_of(sweep, "--sweep")
+    from rotorsim.measure.record import steps_of
+    from rotorsim.model.compiled import model_for_runs
+
+    step, every = steps_of(model_for_runs(diagrams[0]), rate)
+    highest = LEAST_PER_PERIOD / (step * every)
+    hint = f"--sweep '{first:g} Hz:{highest:.4g} Hz', or a higher --rate"
+    refuse_if(last > highest, f"--sweep {sweep}: samples of {1 / (step * every):g} Hz do not show it", hint=hint)
     size = {port: quantity(amplitude or "", unit, "--amplitude") for port, unit in units.items()}
     refuse_if(min(size.values()) <= 0, f"--amplitude {amplitude}: not above zero")
     plan = Sweep(first, last, size)

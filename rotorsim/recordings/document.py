@@ -173,9 +173,9 @@ class DocumentParser:
         for key, value in data.items():
             expected = self.keys[kind].get(key)
             if expected is None:
-                self.error(
-                    f"unknown key '{key}'", (*path, key), subject, near_miss(str(key), self.keys[kind]), key=True
-                )
+                other = key == "injection" and self.kind == "samples"
+                hint = 'that is of recordings of "kind": "injection"' if other else near_miss(str(key), self.keys[kind])
+                self.error(f"unknown key '{key}'", (*path, key), subject, hint, key=True)
             elif not isinstance(value, expected) or (isinstance(value, bool) and expected is not object):
                 self.error(f"'{key}' must be {_WORDS[expected]}", (*path, key), subject)
             else:

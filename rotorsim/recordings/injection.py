@@ -59,6 +59,11 @@ class InjectionRecording(Recording):
         return found
 
 
+def port_of(entry: str) -> str:
+    """Return the port of an entry: ``controller.displacement`` of ``controller.displacement[1]``."""
+    return entry.partition("[")[0]
+
+
 def holds_injection(path: str | Path) -> bool:
     """Return whether a recording.json, or the one in a folder, is of kind "injection". Raises RotorsimError."""
     source, _ = read_source(path)

@@ -58,6 +58,7 @@ def test_a_recorded_sweep_beside_its_diagram(run: Run) -> None:
     assert run("check", "jeffcott", "swept").stdout.splitlines()[1] == (
         "swept: injection at 2 axes, 2 runs, no mistakes"
     )
+    assert run("check", "jeffcott", "swept").stderr == ""
     found = run("margins", "swept", "--beside", "jeffcott", "--plot", "margins.png")
     assert found.exit_code == 0
     lines = found.stdout.splitlines()
@@ -99,6 +100,28 @@ def test_gains_and_speeds_are_conditions_of_their_own(run: Run) -> None:
     )
 
 
+def test_an_entry_that_a_diagram_has_not(run: Run) -> None:
+    assert run(*RECORD, *SHORT).exit_code == 0
+    file = Path("swept/recording.json")
+    document = json.loads(file.read_text())
+    for channel in document["channels"].values():
+        if channel.pop("axis") == "y":
+            channel["signal"] += "[9]"
+        else:
+            channel["signal"] += "[1]"
+    file.write_text(json.dumps(document))
+    found = run("check", "jeffcott", "swept")
+    assert found.exit_code == 2
+    assert "controller.displacement[9]: error: no such entry" in found.stderr or (
+        "error: controller.displacement[9]: no such entry" in found.stderr
+    )
+    found = run("margins", "swept", "--beside", "jeffcott")
+    assert (found.exit_code, found.stderr.splitlines()[0]) == (
+        2,
+        "error: --beside jeffcott: jeffcott has no controller.displacement[9]",
+    )
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
@@ -125,6 +148,11 @@ def test_what_is_refused(run: Run, arguments: list[str], text: str | None) -> No
     [
         (["--settle"], "--inject records its loops alone: no --signal, --settle, --hold-out\n"),
         (["--sweep", "20 Hz"], "--sweep 20 Hz: not LOW:HIGH\n\nhint: for example --sweep '5 Hz:2000 Hz'\n"),
+        (
+            ["--rate", "2 kHz"],
+            "--sweep 5 Hz:2000 Hz: samples of 2000 Hz do not show it\n\n"
+            "hint: --sweep '5 Hz:900 Hz', or a higher --rate\n",
+        ),
         (["--amplitude", "-1 um"], "--amplitude -1 um: not above zero\n"),
         (["--amplitude", "1 A"], None),
         (["--inject", "controller.nothing"], None),

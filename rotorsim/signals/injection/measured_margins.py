@@ -3,46 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from math import pi
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from rotorsim._shown import Shown
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.loop import open_loop_of
-from rotorsim.linear.margins import LARGEST_FREQUENCY, STANDARD, ZONES, Axis, zone_of
-from rotorsim.recordings.injection import AFTER, BEFORE, TEST, InjectionRecording
-from rotorsim.recordings.recording import Run
-from rotorsim.signals.injection.local_polynomial import Response, Spectra, response
-from rotorsim.signals.injection.steady_lines import SteadyLine, without_lines, without_shapes
-from rotorsim.signals.shaft_angle import ShaftAngle, refuse_run_up, shaft_angle
+from rotorsim.linear.margins import STANDARD, ZONES, Axis, zone_of
+from rotorsim.recordings.injection import InjectionRecording
+from rotorsim.signals.injection.columns import DOUBTFUL, Column, column, merged
+from rotorsim.signals.injection.consistency import apart, exchanged, scaled
+from rotorsim.signals.injection.limits import with_limits
+from rotorsim.signals.injection.run_spectra import RunSpectra, judged_up_to, run_spectra
+from rotorsim.signals.injection.steady_lines import SteadyLine
 
 GRID_RATIO = 1.002  # from one frequency to the next
 POINTS_BETWEEN = 20  # frequencies between two of the grid, beside the largest peaks
-PEAKS = 5
-IDLE = 0.1  # of the rms of the largest test signal of a run: an axis with less is not injected at
-DOUBTFUL = 0.3  # half width of the 90 % interval of |S|, of its value, from which on it is not measured
-EXACT = 2e-3  # of |S|: a standard deviation below that is not believed, since windows bias it by as much
+PEAKS = 8
 GAP = 0.02  # of a frequency, over which nothing was measured: a peak of amplification factor 50 would fit
-LEAST_PERIODS = 12.0  # in a record: what drifts within it leaks into fewer
 LINES_OF_PEAK = 30.0  # lines of the spectrum, the least half-power bandwidth of a peak that comes out right to 1 %
+LEAST_PERIODS = 12.0  # in a record: what drifts within it leaks into fewer
 NARROW = 1.0  # Hz: a gap that is none
-WELL_BELOW = 0.9  # of half of the sample rate: above, filters of converters are not alike
-MOST_ORDERS_OUT = 20  # of the shaft, that are taken out by its angle
-EVEN = 1e-3  # of a sample period
-LEAST_RECORD = 1000
 ONE_CONDITION = 0.01  # of a speed: runs closer are of one condition
-SCALED = 0.1  # standard deviation of (V1 - V2) / E, of its size: above, E is no test signal there
-OF_BEST = ("smooth", "freedom", "coherence", "scale")  # of several runs of an axis, those of the best at a frequency
-CLEAR_OF_ZERO = (
-    4.0  # standard deviations on both sides of a crossing: at some of thousands of frequencies noise makes three
-)
-BESIDE_A_GAP = 2.0  # |S| beside what was not measured, from which on a peak of zone B, 3, may be in it
-AGREES = 0.05  # by which V1 - V2 may differ from the test signal before it is said
+BESIDE_A_GAP = 1.5  # |S| beside what was not measured, from which on a peak of zone B, 3, may be in it
+SHOWN_LINES = 5
+NEARLY_LARGEST = 0.7  # of the largest peak: one that may be larger
 
 
 @dataclass(frozen=True, repr=False)
@@ -151,125 +139,52 @@ def measured_margins(recording: InjectionRecording, runs: Sequence[str] = ()) ->
     """
     chosen = [run for run in recording.runs if not runs or run.id in runs]
     problems: list[Problem] = []
-    found: list[_OfRun] = []
+    found: list[RunSpectra] = []
     for run in chosen:
         try:
-            found.append(_of_run(recording, run))
+            found.append(run_spectra(recording, run))
         except RotorsimError as error:
             problems += error.problems
     if problems:
         raise RotorsimError(*problems, exit_code=1)
-    groups: list[list[_OfRun]] = []
+    groups: list[list[RunSpectra]] = []
     for one in found:
         own = next((group for group in groups if _alike(group[0], one)), None)
         groups.append([one]) if own is None else own.append(one)
     return tuple(_together(recording, group) for group in groups)
 
 
-@dataclass(frozen=True, eq=False)
-class _OfRun:
-    """Spectra of a run, cleaned: inputs are the test signals of axes, outputs V1 of those measured, and their V2."""
-
-    run: Run
-    speed: float | None
-    axes: tuple[str, ...]  # that are injected at
-    outputs: Mapping[tuple[str, str], int]  # axis, AFTER or BEFORE -> column
-    spectra: Spectra
-    highest: float
-    lines: tuple[SteadyLine, ...]
-
-
-def _alike(one: _OfRun, other: _OfRun) -> bool:
+def _alike(one: RunSpectra, other: RunSpectra) -> bool:
     if one.run.settings != other.run.settings or (one.speed is None) != (other.speed is None):
         return False
     return one.speed is None or abs(one.speed - (other.speed or 0.0)) <= ONE_CONDITION * max(abs(one.speed), 1e-9)
 
 
-def _of_run(recording: InjectionRecording, run: Run) -> _OfRun:
-    """Return the spectra of a run without steady lines. Raises RotorsimError for one that tells nothing."""
-    subject, time = f"run {run.id}", run.time
-    n = len(time)
-    if n < LEAST_RECORD:
-        raise RotorsimError(Problem(f"{n} samples, {LEAST_RECORD} are needed", subject, run.place))
-    period = float(time[-1] - time[0]) / (n - 1)
-    if not period > 0 or np.abs(np.diff(time) / period - 1).max() > max(EVEN, 1e-9 * np.abs(time).max() / period):
-        hint = "dropped samples? a constant rate is needed"
-        raise RotorsimError(Problem("its samples are not evenly spaced", subject, run.place, hint))
-    signals = _signals(recording, run)
-    power = {name: float(np.std(own[TEST])) for name, own in signals.items()}
-    axes = tuple(name for name, size in power.items() if size > 0 and size >= IDLE * max(power.values()))
-    if not axes:
-        hint = "the test signal is constant, or no axis has two channels in this run"
-        raise RotorsimError(Problem("nothing is injected", subject, run.place, hint))
-    outputs = {(name, AFTER): k for k, name in enumerate(signals)}
-    outputs |= {(name, BEFORE): len(signals) + k for k, name in enumerate(axes)}
-    columns = np.stack([signals[name][role] for name, role in outputs], axis=1)
-    spectra = Spectra.of(np.stack([signals[name][TEST] for name in axes], axis=1), columns, 1 / period)
-    angle = _angle(recording, run)
-    speed = run.speed if run.speed is not None else None if angle is None else angle.speed
-    judged = max(LARGEST_FREQUENCY, 3 * abs(speed or 0.0) / (2 * pi))
-    highest = min(judged, WELL_BELOW / 2 / period)
-    if angle is not None and angle.phase_known:
-        turns = abs(angle.speed) / (2 * pi)
-        orders = range(1, min(int(highest / turns), MOST_ORDERS_OUT) + 1) if turns > 0 else ()
-        shapes = [np.fft.rfft(np.cos(k * angle.theta)) / np.sqrt(n) for k in orders]
-        spectra = without_shapes(spectra, shapes)
-    spectra, lines = without_lines(spectra, highest)
-    return _OfRun(run, speed, axes, outputs, spectra, highest, tuple(lines))
-
-
-def _signals(recording: InjectionRecording, run: Run) -> dict[str, dict[str, np.ndarray]]:
-    """Return axis -> "test", "before", "after" -> samples (n,), the third as the difference of two."""
-    found = {}
-    for name, columns in recording.loops.items():
-        own = {role: run.values[column] for role, column in columns.items() if column in run.values}
-        if bad := [columns[role] for role, values in own.items() if not np.isfinite(values).all()]:
-            raise RotorsimError(Problem("samples are missing or not finite", f"run {run.id}, {bad[0]}", run.place))
-        if len(own) < 2:
-            continue
-        if TEST not in own:
-            own[TEST] = own[AFTER] - own[BEFORE]
-        elif BEFORE not in own:
-            own[BEFORE] = own[AFTER] - own[TEST]
-        elif AFTER not in own:
-            own[AFTER] = own[BEFORE] + own[TEST]
-        found[name] = own
-    return found
-
-
-def _angle(recording: InjectionRecording, run: Run) -> ShaftAngle | None:
-    """Return the shaft angle of a run; None for one that says nothing of it. Raises RotorsimError for a run-up."""
-    try:
-        angle = shaft_angle(recording, run)
-    except RotorsimError:
-        return None
-    if angle.phase_known:
-        refuse_run_up(f"run {run.id}", run.place, run.time, angle.theta)
-    return angle
-
-
-def _together(recording: InjectionRecording, group: Sequence[_OfRun]) -> MeasuredMargins:
+def _together(recording: InjectionRecording, group: Sequence[RunSpectra]) -> MeasuredMargins:
     """Return the margins of the axes that runs of one condition inject at."""
     names = tuple(name for name in recording.loops if any(name in one.axes for one in group))
     speed = next((one.speed for one in group if one.speed is not None), None)
-    judged = max(LARGEST_FREQUENCY, 3 * abs(speed or 0.0) / (2 * pi))
+    judged = judged_up_to(speed)
     step, highest = min(one.spectra.step for one in group), max(one.highest for one in group)
     hz = _grid(LEAST_PERIODS * step, highest, step)
-    columns = {name: _column(group, name, names, hz) for name in names}
-    matrix = np.stack([columns[name].S for name in names], axis=2)
-    axes = tuple(_axis(group, name, names, hz, columns[name]) for name in names)
-    notes = [*_scales(columns, hz), *_unmeasured(axes, judged), *_narrow(axes, step), *_lines_said(group)]
+    axes, notes, matrix = [], [], np.full((len(hz), len(names), len(names)), np.nan, complex)
+    for j, name in enumerate(names):
+        own = column(group, name, names, hz)
+        matrix[:, :, j] = own.S
+        axis, said = _axis(group, name, names, hz, own)
+        axes.append(axis)
+        notes += [*said, *_unmeasured(axis, judged), *_narrow(axis, step)]
     return MeasuredMargins(
         recording=recording.name,
         runs=tuple(one.run.id for one in group),
         speed=speed,
         settings=dict(group[0].run.settings),
-        axes=axes,
+        axes=tuple(axes),
         highest=judged,
         frequencies=hz,
         matrix=matrix,
         lines=tuple(line for one in group for line in one.lines),
-        notes=tuple(notes),
+        notes=(*notes, *_lines_said(group)),
         provenance={"recording": recording.name, "source": recording.source},
     )
 
@@ -281,108 +196,33 @@ def _grid(low: float, high: float, step: float) -> np.ndarray:
     return np.concatenate([np.arange(low, hz[coarse][-1], step) if coarse.any() else [], hz[~coarse]])
 
 
-@dataclass(frozen=True, eq=False)
-class _Column:
-    """S (n, m) of all axes to the test signal of one, std (n, m), freedom, coherence (n,); scale: (V1 - V2) / E.
-
-    smooth (n,): |S| of its own axis with less noise, see `Response`.
-    """
-
-    S: np.ndarray
-    std: np.ndarray
-    smooth: np.ndarray
-    freedom: np.ndarray
-    coherence: np.ndarray
-    scale: np.ndarray
-
-
-def _column(group: Sequence[_OfRun], name: str, names: Sequence[str], hz: np.ndarray) -> _Column:
-    """Return the column of an axis, of several runs their mean, weighed by their variances."""
-    every = [_column_of(one, name, names, hz) for one in group if name in one.axes]
-    if len(every) == 1:
-        return every[0]
-    weights = np.stack([np.where(np.isfinite(one.S) & (one.std > 0), 1 / one.std**2, 0.0) for one in every])
-    total = weights.sum(axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        S = sum(w * np.nan_to_num(one.S) for w, one in zip(weights, every, strict=True)) / total
-        best = np.argmax(weights[:, :, names.index(name)], axis=0)
-    at = np.arange(len(hz))
-    of_best = {key: np.stack([getattr(one, key) for one in every])[best, at] for key in OF_BEST}
-    return _Column(np.where(total > 0, S, np.nan), np.where(total > 0, total, np.nan) ** -0.5, **of_best)
-
-
-def _column_of(one: _OfRun, name: str, names: Sequence[str], hz: np.ndarray) -> _Column:
-    """Return the column of an axis from one run: S_i = R1_i / (R1_j - R2_j)."""
-    found: Response = response(one.spectra, hz)
-    j, v1, v2 = one.axes.index(name), one.outputs[name, AFTER], one.outputs[name, BEFORE]
-    R, C = found.S[:, :, j], found.covariance[:, j]
-    scale = R[:, v1] - R[:, v2]
-    to_scale = np.zeros(R.shape[1])
-    to_scale[v1], to_scale[v2] = 1, -1
-    lines = np.minimum(np.round(hz / one.spectra.step).astype(int), len(one.spectra.U) - 1)
-    with np.errstate(invalid="ignore"):
-        of_scale = np.sqrt(np.maximum((to_scale @ C @ to_scale).real, 0.0))
-        told = (hz <= one.highest) & one.spectra.excited()[lines, j] & (of_scale < SCALED * np.abs(scale))
-    S, std = (np.full((len(hz), len(names)), np.nan, kind) for kind in (complex, float))
-    for i, other in enumerate(names):
-        k = one.outputs.get((other, AFTER))
-        if k is None:
-            continue
-        with np.errstate(invalid="ignore", divide="ignore"):
-            S[:, i] = R[:, k] / scale
-            g = np.zeros(R.shape, complex)
-            g[:, k] += 1
-            g[:, v1] -= S[:, i]
-            g[:, v2] += S[:, i]
-            variance = np.einsum("na,nab,nb->n", g, C, g.conj()).real / np.abs(scale) ** 2
-            wider = found.smooth[:, k, j] / (found.smooth[:, v1, j] - found.smooth[:, v2, j])
-        doubt = np.where(found.alone, np.abs(wider - S[:, i]), 0.0)
-        std[:, i] = np.hypot(np.maximum(np.sqrt(np.maximum(variance, 0.0)), EXACT * np.abs(S[:, i])), doubt)
-        S[~told, i], std[~told, i] = np.nan, np.nan
-    with np.errstate(invalid="ignore", divide="ignore"):
-        wider = found.smooth[:, v1, j] / (found.smooth[:, v1, j] - found.smooth[:, v2, j])
-    smooth = np.abs(np.where(found.alone, S[:, names.index(name)], wider))
-    return _Column(S, std, smooth, found.freedom, found.coherence[:, v1, j], scale)
-
-
-def _merged(hz: np.ndarray, column: _Column, more_hz: np.ndarray, more: _Column) -> tuple[np.ndarray, _Column]:
-    """Return two parts of a column in the order of their frequencies."""
-    order = np.argsort(both := np.concatenate([hz, more_hz]))
-    parts = ((getattr(column, item.name), getattr(more, item.name)) for item in fields(_Column))
-    return both[order], _Column(*(np.concatenate(pair)[order] for pair in parts))
-
-
-def _half_width(column: _Column, i: int) -> np.ndarray:
-    """Return the half width (n,) of the 90 % interval of |S_i|: half of the variance of S is along it."""
-    with np.errstate(invalid="ignore"):
-        return np.asarray(student.ppf(0.95, 2 * column.freedom) * column.std[:, i] / np.sqrt(2))
-
-
-def _axis(group: Sequence[_OfRun], name: str, names: Sequence[str], hz: np.ndarray, column: _Column) -> MeasuredAxis:
-    """Return an axis with its margins, more closely looked at beside its largest peaks."""
-    i = names.index(name)
-    top = _peaks(column, i)
-    if top:
+def _axis(
+    group: Sequence[RunSpectra], name: str, names: Sequence[str], hz: np.ndarray, own: Column
+) -> tuple[MeasuredAxis, list[str]]:
+    """Return an axis with its margins, looked at more closely beside its largest peaks, and what is to be said."""
+    i, highest = names.index(name), max(one.highest for one in group)
+    if top := _peaks(own, i):
         between = [np.linspace(hz[k - 1], hz[k + 1], 2 * POINTS_BETWEEN + 1)[1:-1] for k in top if 0 < k < len(hz) - 1]
         more_hz = np.setdiff1d(np.concatenate([*between, []]), hz)
-        hz, column = _merged(hz, column, more_hz, _column(group, name, names, more_hz))
-        top = _peaks(column, i)
-    if not top:
+        hz, own = merged(hz, own, more_hz, column(group, name, names, more_hz))
+    said, doubt = scaled(name, own, hz)
+    own = replace(own, std=np.hypot(own.std, doubt[:, None] * np.abs(own.S)))
+    if not (top := _peaks(own, i)):
         runs = ", ".join(one.run.id for one in group)
         what = f"'{name}': nowhere is |S| told to {100 * DOUBTFUL:.0f} %"
         hint = "a larger test signal, a longer sweep, or are the channels those of this axis?"
         raise RotorsimError(Problem(what, f"run {runs}", group[0].run.place, hint), exit_code=1)
-    S, half = column.S[:, i], _half_width(column, i)
-    measured = _is_measured(column, i)
-    k = top[0]
+    swapped = exchanged(name, own, i, hz, judged_up_to(group[0].speed))
+    said += [*swapped, *apart(name, own, hz)]
+    S, half, measured, k = own.S[:, i], own.half_width(i), own.measured(i), top[0]
     interval = {"peak": (float(np.abs(S[k]) - half[k]), float((np.abs(S) + half)[top].max()))}
     best = Axis(name, float(np.abs(S[k])), float(hz[k]), zone_of(float(np.abs(S[k]))))
-    best, more = _limits(best, hz, S, column, i, measured)
-    top_of_band = max(one.highest for one in group)
-    hidden = tuple(_hidden(hz, np.where(measured, np.abs(S), np.nan), best.peak, top_of_band))
-    if hidden:
-        interval["peak"] = (interval["peak"][0], np.inf)
-    return MeasuredAxis(hz, S, column.std[:, i], half, column.coherence, measured, best, {**interval, **more}, hidden)
+    best, more = with_limits(best, hz, S, own, i, measured)
+    hidden = tuple(_hidden(hz, np.where(measured, np.abs(S), np.nan), best.peak, highest))
+    if hidden or swapped:
+        interval["peak"] = (0.0 if swapped else interval["peak"][0], np.inf)
+    intervals = {**interval, **more}
+    return MeasuredAxis(hz, S, own.std[:, i], half, own.coherence, measured, best, intervals, hidden), said
 
 
 def _hidden(hz: np.ndarray, size: np.ndarray, peak: float, highest: float) -> Iterator[tuple[float, float]]:
@@ -398,117 +238,50 @@ def _hidden(hz: np.ndarray, size: np.ndarray, peak: float, highest: float) -> It
         yield float(hz[there[-1]]), highest
 
 
-def _is_measured(column: _Column, i: int) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        return np.asarray(_half_width(column, i) < DOUBTFUL * np.abs(column.S[:, i]))
-
-
-def _peaks(column: _Column, i: int) -> list[int]:
+def _peaks(own: Column, i: int) -> list[int]:
     """Return where |S| is largest, and the next largest maxima: of the smooth estimate, lest noise be chosen."""
-    size = np.where(_is_measured(column, i), column.smooth, 0.0)
+    size = np.where(own.measured(i), own.smooth, 0.0)
     around = np.concatenate([[0.0], size, [0.0]])
     inner = np.flatnonzero((size > 0) & (size >= around[:-2]) & (size >= around[2:]))
     return list(inner[np.argsort(size[inner])[::-1][:PEAKS]].tolist())
 
 
-def _limits(
-    best: Axis, hz: np.ndarray, S: np.ndarray, column: _Column, i: int, measured: np.ndarray
-) -> tuple[Axis, dict[str, tuple[float, float]]]:
-    """Return gain, phase and delay margins where G_o, between frequencies measured, is -1 / gain or of size 1."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        G = np.asarray(open_loop_of(np.where(measured, S, np.nan)))
-        std = column.std[:, i] / np.abs(S) ** 2 / np.sqrt(2)  # of G_o, along any direction
-        quantile = student.ppf(0.95, 2 * column.freedom)
-        relative = quantile * std / np.abs(G)
-        size = np.log(np.abs(G))
-    best = replace(best, gain_up=np.inf, gain_down=0.0)
-    interval: dict[str, tuple[float, float]] = {}
-    for f, value, half in _crossings(hz, G.imag, std, G, relative):
-        gain = -1 / value.real
-        ends = gain * (1 - half), gain * (1 + half)
-        if 1 < gain < best.gain_up:
-            best, interval["gain_up"] = replace(best, gain_up=gain, gain_up_frequency=f), ends
-        elif best.gain_down < gain < 1:
-            best, interval["gain_down"] = replace(best, gain_down=gain, gain_down_frequency=f), ends
-    for f, value, half in _crossings(hz, size, std / np.abs(G), G, relative):
-        lag, spread = float(np.degrees(np.angle(-value))), float(np.degrees(half))
-        if not abs(lag) >= best.phase:  # which is nan before the first
-            best = replace(best, phase=abs(lag), phase_frequency=f)
-            interval["phase"] = abs(lag) - spread, abs(lag) + spread
-        delay = lag % 360 / 360 / f
-        if not delay >= best.delay:
-            best = replace(best, delay=delay, delay_frequency=f)
-            interval["delay"] = delay - spread / 360 / f, delay + spread / 360 / f
-    return best, interval
-
-
-def _crossings(
-    hz: np.ndarray, values: np.ndarray, std: np.ndarray, G: np.ndarray, relative: np.ndarray
-) -> Iterator[tuple[float, complex, float]]:
-    """Yield frequency [Hz], G_o and its relative half width where values pass zero, clear of it on both sides."""
-    with np.errstate(invalid="ignore"):
-        clear = np.flatnonzero(np.abs(values) > CLEAR_OF_ZERO * std)
-    for a, b in pairwise(clear.tolist()):
-        between = values[a : b + 1]
-        if values[a] * values[b] > 0 or not np.isfinite(between).all():
-            continue
-        changes = a + np.flatnonzero(between[:-1] * between[1:] <= 0)
-        k = int(changes[len(changes) // 2])
-        part = float(values[k] / (values[k] - values[k + 1]))
-        yield float(hz[k] + part * (hz[k + 1] - hz[k])), complex(G[k] + part * (G[k + 1] - G[k])), float(relative[k])
-
-
-def _scales(columns: Mapping[str, _Column], hz: np.ndarray) -> list[str]:
-    """Return where V1 - V2 is not the test signal. Raises RotorsimError where it is its opposite."""
-    said = []
-    for name, column in columns.items():
-        told = np.isfinite(column.scale) & np.isfinite(column.S).any(axis=1)
-        scale = complex(np.median(column.scale[told].real), np.median(column.scale[told].imag)) if told.any() else 1.0
-        shown = f"'after' - 'before' at {name} is {scale.real:.3g} times the test signal"
-        if scale.real < 0:
-            hint = "'before' is without the test signal, 'after' is the sum; if its sign differs, leave 'test' out"
-            raise RotorsimError(Problem(shown, hint=hint), exit_code=1)
-        if abs(scale - 1) > AGREES:
-            said.append(f"{shown}: S is from 'before' and 'after' alone")
-    return said
-
-
-def _unmeasured(axes: Sequence[MeasuredAxis], judged: float) -> list[str]:
+def _unmeasured(axis: MeasuredAxis, judged: float) -> list[str]:
     """Return the frequencies at which an axis was not measured, within its band and up to what the standard judges."""
-    said = []
-    for axis in axes:
-        high, hz = axis.band[1], axis.frequencies[axis.measured].tolist()
-        gaps = [(a, b) for a, b in pairwise(hz) if b > a * (1 + GAP) and b - a > NARROW]
-        if high < judged * (1 - GAP):
-            gaps.append((high, judged))
-        for a, b in axis.hidden:
-            said.append(f"'{axis.name}': the peak may lie between {a:.5g} and {b:.5g} Hz, where |S| could not be told")
-        if gaps:
-            words = ", ".join(f"{a:.4g} to {b:.4g} Hz" for a, b in gaps)
-            said.append(f"'{axis.name}': not measured, and not judged: {words}")
+    high, hz = axis.band[1], axis.frequencies[axis.measured].tolist()
+    gaps = [(a, b) for a, b in pairwise(hz) if b > a * (1 + GAP) and b - a > NARROW]
+    if high < judged * (1 - GAP):
+        gaps.append((high, judged))
+    where = "where |S| could not be told"
+    said = [f"'{axis.name}': the peak may lie between {a:.5g} and {b:.5g} Hz, {where}" for a, b in axis.hidden]
+    if gaps:
+        words = ", ".join(f"{a:.4g} to {b:.4g} Hz" for a, b in gaps)
+        said.append(f"'{axis.name}': not measured, and not judged: {words}")
     return said
 
 
-def _narrow(axes: Sequence[MeasuredAxis], step: float) -> list[str]:
-    """Return the peaks that are too narrow for a record."""
-    said = []
-    for axis in axes:
-        size = np.where(axis.measured, np.abs(axis.sensitivity), np.nan)
-        beside = axis.frequencies[size < axis.best.peak / np.sqrt(2)]
-        f = axis.best.frequency
+def _narrow(axis: MeasuredAxis, step: float) -> list[str]:
+    """Return that a peak, the largest or nearly, is too narrow for the record."""
+    size = np.where(axis.measured, np.abs(axis.sensitivity), 0.0)
+    inner = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])) + 1
+    narrowest = np.inf, np.nan
+    for k in inner[size[inner] > NEARLY_LARGEST * axis.best.peak]:
+        beside, f = axis.frequencies[(size > 0) & (size < size[k] / np.sqrt(2))], axis.frequencies[k]
         width = min(beside[beside > f], default=np.inf) - max(beside[beside < f], default=-np.inf)
-        if width < LINES_OF_PEAK * step:
-            what = f"'{axis.name}': the peak at {f:.5g} Hz is {width:.2g} Hz wide, and higher than it was measured"
-            said.append(f"{what}: that takes {LINES_OF_PEAK / width:.3g} s")
-    return said
+        narrowest = min(narrowest, (float(width), float(f)))
+    width, f = narrowest
+    if width >= LINES_OF_PEAK * step:
+        return []
+    what = f"'{axis.name}': the peak at {f:.5g} Hz is {width:.2g} Hz wide, and higher than it was measured"
+    return [f"{what}: that takes {LINES_OF_PEAK / width:.3g} s"]
 
 
-def _lines_said(group: Sequence[_OfRun]) -> list[str]:
+def _lines_said(group: Sequence[RunSpectra]) -> list[str]:
     """Return the steady lines that were taken out, the largest of each run."""
     said = []
     for one in group:
         if one.lines:
-            words = ", ".join(f"{line.frequency:.5g}" for line in one.lines[:PEAKS])
-            more = f" and {len(one.lines) - PEAKS} more" if len(one.lines) > PEAKS else ""
+            words = ", ".join(f"{line.frequency:.5g}" for line in one.lines[:SHOWN_LINES])
+            more = f" and {len(one.lines) - SHOWN_LINES} more" if len(one.lines) > SHOWN_LINES else ""
             said.append(f"{one.run.id}: steady lines that the test signal does not make, taken out: {words}{more} Hz")
     return said

@@ -14,7 +14,9 @@ from rotorsim.signals.injection.local_polynomial import Spectra, design, least_h
 THRESHOLD = 30.0  # times the mean power of the noise: noise is as large at one line in e^30
 LINES_AROUND = 101  # lines of the spectrum, whose median is the level of the noise
 FAINT = 1e-6  # of the power of a spectrum around it: what is less changes no response by 0.001
-MOST_STEADY_LINES = 50
+MOST_TRIED = 100
+CLEAN = 4.0  # times the mean power of the noise, that a window of 25 lines has without a steady line, at most
+LEFT_OVER = 0.01  # of what stood out: a line whose frequency wanders, but a line
 WITHIN = 0.01  # of the largest part of a line: further out it is smooth, and a transient
 
 
@@ -34,39 +36,50 @@ def without_shapes(spectra: Spectra, shapes: Sequence[np.ndarray]) -> Spectra:
         half = max(2 * least_half(spectra.U.shape[1]), int(np.abs(wide - at).max()))
         if 2 * half + 1 < len(spectra.U) - 1:
             around, places = windows(spectra, np.array([at * spectra.step]), half)
-            spectra, _ = _without(spectra, shape, around, places)
+            amplitude, _ = _fit(spectra, shape[around[0]], around, places)
+            spectra = replace(spectra, Y=spectra.Y - np.outer(shape, amplitude))
     return spectra
 
 
-def without_lines(spectra: Spectra, highest: float) -> tuple[Spectra, list[SteadyLine]]:
-    """Return spectra without steady lines up to a frequency [Hz], and these; the strongest first.
+def without_lines(spectra: Spectra, highest: float) -> tuple[Spectra, list[SteadyLine], np.ndarray]:
+    """Return spectra without steady lines up to a frequency [Hz], these, the strongest first, and where some is left.
 
-    A line stands out of what the response, fitted around it, leaves at it. Its frequency is where it explains most.
+    A line stands out of what the response, fitted around it, leaves at it; its frequency is where it explains most. It
+    is one only if it leaves noise, or next to nothing of what stood out: near a narrow resonance the fit errs by more
+    than noise, but not in the shape of a line. (K,): lines of the spectrum where more than noise is left of one.
     """
     half = least_half(spectra.U.shape[1])
     last = min(int(highest / spectra.step), len(spectra.U) - half - 2)
     found: list[SteadyLine] = []
+    rest = np.zeros(len(spectra.U), bool)
     every = np.arange(half + 1, last + 1)
     every = every[spectra.excited()[every].any(axis=1)]
     if len(every) < 2 * LINES_AROUND:
-        return spectra, found
+        return spectra, found, rest
     left = _left(spectra, every, half)
     level = median_filter(left, (LINES_AROUND, 1), mode="reflect") / np.log(2)
     size = median_filter(np.abs(spectra.Y[every]) ** 2, (LINES_AROUND, 1), mode="reflect")
     level = np.maximum(np.maximum(level, FAINT * size), 1e-300)
-    while len(found) < MOST_STEADY_LINES:
-        ratio = (left / level).max(axis=1)
-        k = int(np.argmax(ratio))
-        if ratio[k] < THRESHOLD:
+    for _ in range(MOST_TRIED):
+        ratio = left / level
+        k, c = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+        if ratio[k, c] < THRESHOLD:
             break
         around, places = windows(spectra, every[k : k + 1] * spectra.step, 2 * half)
         frequency = _frequency(spectra, int(every[k]), around, places)
         shape = _line(spectra, frequency, np.arange(len(spectra.U)))
-        spectra, amplitude = _without(spectra, shape, around, places)
-        found.append(SteadyLine(frequency, tuple((2 * np.abs(amplitude)).tolist())))
+        amplitude, after = _fit(spectra, shape[around[0]], around, places)
+        before = _fit(spectra, None, around, places)[1]
+        is_clean = after[c] < CLEAN * level[k, c]
         near = slice(max(k - 4 * half, 0), k + 4 * half + 1)
-        left[near] = _left(spectra, every[near], half)
-    return spectra, found
+        if is_clean or after[c] < LEFT_OVER * before[c]:
+            spectra = replace(spectra, Y=spectra.Y - np.outer(shape, amplitude))
+            found.append(SteadyLine(frequency, tuple((2 * np.abs(amplitude)).tolist())))
+            left[near] = np.where(left[near] > 0, _left(spectra, every[near], half), 0.0)
+        if not is_clean:
+            rest[around[0]] |= after[c] < LEFT_OVER * before[c]
+            left[np.abs(every - every[k]) <= half] = 0.0  # is not looked at again
+    return spectra, found, rest
 
 
 def _left(spectra: Spectra, lines: np.ndarray, half: int) -> np.ndarray:
@@ -96,9 +109,12 @@ def _line(spectra: Spectra, frequency: float, lines: np.ndarray) -> np.ndarray:
 
 def _frequency(spectra: Spectra, line: int, around: np.ndarray, places: np.ndarray) -> float:
     """Return the frequency [Hz] near a line of the spectrum at which a steady motion leaves least in a window."""
+    weight = np.sum(np.abs(spectra.Y[around[0]]) ** 2, axis=0)
+    weight[weight == 0] = 1.0
 
     def remaining(offset: float) -> float:
-        return _fit(spectra, _line(spectra, (line + offset) * spectra.step, around[0]), around, places)[1]
+        shape = _line(spectra, (line + offset) * spectra.step, around[0])
+        return float(np.sum(_fit(spectra, shape, around, places)[1] / weight))
 
     trial = np.linspace(-1, 1, 21)
     best = float(trial[int(np.argmin([remaining(float(one)) for one in trial]))])
@@ -106,18 +122,14 @@ def _frequency(spectra: Spectra, line: int, around: np.ndarray, places: np.ndarr
     return float((line + found.x) * spectra.step)
 
 
-def _fit(spectra: Spectra, shape: np.ndarray, around: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the amplitudes (q,) of a line of a shape (w,), fitted beside the response, and the power that is left."""
-    A = design(spectra.U[around], places, shape[None, :, None])[0]
+def _fit(
+    spectra: Spectra, shape: np.ndarray | None, around: np.ndarray, places: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return amplitudes (q,) of a line of a shape (w,), fitted beside the response, and the mean power left (q,)."""
+    A = design(spectra.U[around], places, None if shape is None else shape[None, :, None])[0]
     size = np.linalg.norm(A, axis=0)
     size[size == 0] = 1.0
     Y = spectra.Y[around[0]]
-    weight = np.linalg.norm(Y, axis=0)
     a, *_ = np.linalg.lstsq(A / size, Y, rcond=1e-10)
-    left = (Y - A / size @ a) / np.where(weight > 0, weight, 1.0)
-    return a[-1] / size[-1], float(np.sum(np.abs(left) ** 2))
-
-
-def _without(spectra: Spectra, shape: np.ndarray, around: np.ndarray, places: np.ndarray) -> tuple[Spectra, np.ndarray]:
-    amplitude, _ = _fit(spectra, shape[around[0]], around, places)
-    return replace(spectra, Y=spectra.Y - np.outer(shape, amplitude)), amplitude
+    left = Y - A / size @ a
+    return a[-1] / size[-1], np.sum(np.abs(left) ** 2, axis=0) / (len(A) - A.shape[1])
