@@ -75,6 +75,7 @@ def test_a_recorded_sweep_beside_its_diagram(run: Run) -> None:
     assert axis["phase"] == pytest.approx(condition["modelled"]["axes"][0]["phase"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_sweep_at_the_output_of_a_controller(run: Run) -> None:
     arguments = ["record", "jeffcott", "--inject", "controller.current", "--amplitude", "20 mA", "--out", "swept"]
     assert run(*arguments, *SHORT).exit_code == 0

@@ -73,6 +73,7 @@ def test_any_excitation_will_do(tmp_path, signal):
     check(found.axes[0], 0)
 
 
+@pytest.mark.slow
 def test_both_axes_at_once_give_the_matrix_and_its_largest_singular_value(tmp_path):
     test = 1e-6 * np.random.default_rng(4).standard_normal((len(TIME), 2))
     (found,) = told(tmp_path / "r", {"both": run(test)})
@@ -145,6 +146,7 @@ def test_a_narrow_peak_asks_for_a_longer_record(tmp_path):
     assert found.lines == ()
 
 
+@pytest.mark.slow
 def test_a_peak_that_a_record_cannot_resolve_leaves_the_zone_open(tmp_path):
     """208 where a record of 8 s and a sweep of 300 Hz/s see some 15."""
     machine = Machine(damping=0.0, kd=0.08, delay=0.0, lag=0.0, gyroscopic=0.0)
@@ -159,6 +161,7 @@ def test_a_peak_that_a_record_cannot_resolve_leaves_the_zone_open(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_each_speed_and_setting_is_a_condition_of_its_own(tmp_path):
     folder = write(tmp_path / "r", RATE, sweeps())
     document = json.loads((folder / "recording.json").read_text())
@@ -213,6 +216,7 @@ def test_a_signal_that_is_not_sampled_at_once_is_said_and_in_the_interval(tmp_pa
     assert low < np.abs(TRUTH[:, 0, 0]).max() < high
 
 
+@pytest.mark.slow
 def test_two_signals_that_are_exchanged_leave_the_zone_open(tmp_path):
     signals = run(one_axis(chirp(TIME, 5, 2200)))
     exchanged = {"test": signals["test"], "before": signals["after"], "after": signals["before"]}
