@@ -47,6 +47,7 @@ MOST_RECORDED_RUNS = 10_000
 SAMPLES_PER_TURN = 4.0  # samples a turn
 KEPT_SHARE = 0.2  # of the run that is kept, at its end
 LEAST_PER_PERIOD = 0.45  # of the sample rate: the highest frequency that is told
+SWEEP = "5 Hz:2000 Hz"
 START_SHARE = 0.1  # of a run, before a test signal is injected
 
 
@@ -100,7 +101,7 @@ class Plan:
     metavar="PORT",
     help="Add a sine sweep to what arrives here (or leaves), one axis a run, for 'rotorsim margins'; repeatable.",
 )
-@click.option("--sweep", default="5 Hz:2000 Hz", show_default=True, metavar="FROM:TO", help="Frequencies of --inject.")
+@click.option("--sweep", metavar="FROM:TO", help=f"Frequencies of --inject (default: {SWEEP}).")
 @click.option("--amplitude", metavar="SIZE", help="Of --inject, 0-peak, as '1 um'.")
 @click.option(
     "--format", "form", type=click.Choice(("npz", "csv")), default="npz", show_default=True, help="Of the data files."
@@ -122,7 +123,7 @@ def command(
     noise_kind: str,
     seed: int,
     ports: tuple[str, ...],
-    sweep: str,
+    sweep: str | None,
     amplitude: str | None,
     form: str,
     overwrite: bool,
@@ -155,12 +156,14 @@ def command(
     injected: dict[str, tuple[str, str, str]] = {}
     axes: list[tuple[str, dict[str, Any]]] = [("", {})]
     refuse_if(
-        not ports and amplitude, "--amplitude needs --inject", hint="for example --inject controller.displacement"
+        not ports and (amplitude or sweep),
+        "--sweep and --amplitude need --inject",
+        hint="for example --inject controller.displacement",
     )
     if ports:
         refuse_if(signals or settle or hold_out, "--inject records its loops alone: no --signal, --settle, --hold-out")
         span = span or (START_SHARE * diagrams[0].solver.stop, diagrams[0].solver.stop)
-        diagrams, injected, axes = _with_sweeps(diagrams, chosen, ports, sweep, amplitude, span, samples)
+        diagrams, injected, axes = _with_sweeps(diagrams, chosen, ports, sweep or SWEEP, amplitude, span, samples)
         _limit(len(at) * len(known) * len(axes))
     measured = list(injected) or list(signals) or _two_axis(diagrams[0])
     from rotorsim.measure.record import Noise
@@ -310,8 +313,8 @@ def _with_sweeps(
     plan = Sweep(first, last, size)
     made = [with_sweeps(diagram, ports, plan, window) for diagram in diagrams]
     folder = Path(diagrams[0].file).parent if diagrams[0].file else None
-    trust = chosen.trust_blocks
-    opened = [load(one.document, trust_blocks=trust, folder=folder) for one in made]
+    trust, cut = chosen.trust_blocks, chosen.without
+    opened = [load(one.document, without=cut, trust_blocks=trust, folder=folder) for one in made]
     return opened, made[0].signals, made[0].cases(plan)
 
 

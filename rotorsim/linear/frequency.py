@@ -21,7 +21,7 @@ from rotorsim.linear.linearisation import (
     provenance,
     units_of,
 )
-from rotorsim.linear.loop import linear_system
+from rotorsim.linear.loop import RATE, SENSOR, linear_system, undisturbed_rates
 from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.stability import growing, growing_multipliers
 from rotorsim.linear.state_space import StateSpace
@@ -112,6 +112,13 @@ def frequency_response(
     hz = np.atleast_1d(hz).ravel()
     if not np.isfinite(hz).all():
         raise RotorsimError(Problem(what="frequencies must be finite [Hz]", subject="frequencies"))
+    block, _, port = input.rpartition(".")
+    if port == SENSOR and f"{block}.{RATE}" in {f"{end.target.block}.{end.target.port}" for end in model.diagram.wires}:
+        notes = (
+            *notes,
+            f"'{input}' is disturbed, and '{block}.{RATE}' is not: `margins` disturbs both, as one sensor does",
+        )
+    notes = (*notes, *undisturbed_rates(model.diagram, {input}))
     given = model.trace.external[input]
     above, below = units_of(model, (output,)), given_units(model, given)
     outputs, inputs = flat_names(model, output), entry_names(given.name, given.shape)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
@@ -186,7 +186,11 @@ class Loop:
 
     def notes(self, highest: float) -> tuple[str, ...]:
         """Return what a reader must know of a loop that is looked at up to a frequency [Hz]."""
-        return (*self._notes, *_undisturbed(self.model.diagram, self.axes), *_delays(self.model.diagram, highest))
+        return (
+            *self._notes,
+            *undisturbed_rates(self.model.diagram, {axis.port for axis in self.axes}),
+            *_delays(self.model.diagram, highest),
+        )
 
 
 def _growing(system: StateSpace | SampledData) -> np.ndarray:
@@ -242,9 +246,8 @@ def _sampled(linear: LinearModel, model: Model) -> SampledData:
     return system
 
 
-def _undisturbed(diagram: Diagram, axes: Sequence[Injection]) -> list[str]:
+def undisturbed_rates(diagram: Diagram, ports: Collection[str]) -> list[str]:
     """Return the rates that pass by a test signal: wired velocities of controllers fed by an output port named."""
-    ports = {axis.port for axis in axes}
     said = []
     for wire in diagram.wires:
         port, end, node = f"{wire.source.block}.{wire.source.port}", wire.target, diagram.nodes[wire.target.block]

@@ -64,6 +64,8 @@ def with_sweeps(diagram: Diagram, ports: Sequence[str], sweep: Sweep, window: tu
     made = Injected(dict(diagram.document))
     for k, port in enumerate(dict.fromkeys(ports), 1):
         name = f"injection{k}" if len(ports) > 1 else "injection"
+        while any(taken.startswith(f"{name}_") for taken in diagram.nodes):
+            name += "x"
         block, _, key = port.rpartition(".")
         node = diagram.nodes[block]
         is_output = key in node.outputs

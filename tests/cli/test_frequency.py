@@ -53,6 +53,15 @@ def test_what_does_not_settle_is_said(run: Run) -> None:
     )
 
 
+def test_a_rate_that_passes_by_the_test_signal_is_said(run: Run) -> None:
+    """FAULT of an earlier version: the response of a PID without its D, and nothing said."""
+    found = run("frequency", "jeffcott", "--from", "controller.displacement", "--to", "controller.current")
+    assert found.stderr == (
+        "'controller.displacement' is disturbed, and 'controller.velocity' is not: `margins` disturbs both, as one "
+        "sensor does\n"
+    )
+
+
 @pytest.mark.parametrize(
     ("more", "text"),
     [

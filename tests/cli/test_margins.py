@@ -6,6 +6,7 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rotorsim import load
@@ -99,6 +100,14 @@ def test_gains_and_speeds_are_conditions_of_their_own(run: Run) -> None:
         2,
         "--plot draws one condition, swept has 2\n\nhint: --run run01, for example\n",
     )
+
+
+def test_blocks_that_are_cut_are_cut_from_what_is_injected(run: Run) -> None:
+    """FAULT of an earlier version: --without was taken with --inject, and did nothing."""
+    for folder, cut in (("with", []), ("without", ["--without", "unbalance", "--without", "crack"])):
+        assert run(*RECORD[:-1], folder, *SHORT, *cut).exit_code == 0
+    moving, still = (np.load(f"{folder}/run01.npz")["injection_before.output[2]"] for folder in ("with", "without"))
+    assert np.ptp(still) < 0.01 * np.ptp(moving)
 
 
 def test_an_entry_that_a_diagram_has_not(run: Run) -> None:

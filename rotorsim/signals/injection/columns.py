@@ -90,7 +90,7 @@ def _column_of(one: RunSpectra, name: str, names: Sequence[str], hz: np.ndarray)
     S, std = (np.full((len(hz), len(names)), np.nan, kind) for kind in (complex, float))
     with np.errstate(invalid="ignore", divide="ignore"):
         scale_std = np.sqrt(np.maximum((to_scale @ C @ to_scale).real, 0.0))
-        told = (hz <= one.highest) & one.spectra.excited()[lines, j] & (scale_std < SCALED * np.abs(scale))
+        told = (hz <= one.highest) & one.spectra.excited[lines, j] & (scale_std < SCALED * np.abs(scale))
         told &= ~one.rest[lines]
         wider = wide / (wide @ to_scale)[:, None]
         for i, other in enumerate(names):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.signals.injection.columns import DOUBTFUL, NO_NOISE, Column
+from rotorsim.signals.injection.columns import NO_NOISE, Column
 
 AGREES = 0.05  # by which the recorded test signal may be of another size, or 5 % of a period late, before it is said
 DIFFERS = 0.02  # of the test signal: V1 - V2 is another one
@@ -74,6 +74,6 @@ def apart(name: str, column: Column, hz: np.ndarray) -> list[str]:
     there = column.apart > 0
     if there.sum() <= 0.01 * np.isfinite(column.S).any(axis=1).sum():
         return []
-    k = int(np.argmax(np.where(np.isfinite(column.apart) & (column.apart < 1 / DOUBTFUL), column.apart, 0.0)))
+    k = int(np.argmax(column.apart))
     what = f"'{name}': its runs differ by up to {100 * column.apart[k]:.2g} % of S, at {hz[k]:.4g} Hz"
     return [f"{what}: another setting, or another amplitude? --run takes one of them"]

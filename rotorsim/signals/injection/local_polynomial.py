@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -48,6 +49,7 @@ class Spectra:
         U, Y = (np.fft.rfft(x - trend @ (trend.T @ x), axis=0) / np.sqrt(n) for x in (inputs, outputs))
         return cls(U, Y, rate / n, n)
 
+    @cached_property
     def excited(self) -> np.ndarray:
         """Return which lines (K, m) the inputs excite: by FLOOR times their least power, noise of converters, and more.
 

@@ -61,9 +61,7 @@ class MeasuredAxis:
     @property
     def zones(self) -> str:
         """The zones within the interval of the peak: "B", "B or C"."""
-        low, high = (zone_of(end) for end in self.interval90["peak"])
-        every = [zone for _, zone in ZONES] + ["D"]
-        return " or ".join(every[every.index(low) : every.index(high) + 1])
+        return _zones(*self.interval90["peak"])
 
     @property
     def band(self) -> tuple[float, float]:
@@ -110,12 +108,18 @@ class MeasuredMargins(Shown):
         return max(self.axes, key=lambda axis: axis.best.peak)
 
     @property
+    def zones(self) -> str:
+        """The zones that the machine may be in: that of its worst axis, whichever it is within all intervals."""
+        ends = np.array([axis.interval90["peak"] for axis in self.axes])
+        return _zones(*ends.max(axis=0).tolist())
+
+    @property
     def statement(self) -> str:
         """Peak and zone in words."""
         axis = self.worst
         low, high = axis.interval90["peak"]
         size = f"{axis.best.peak:.3g} ({low:.3g} to {high:.3g}) at {axis.best.frequency:.4g} Hz"
-        return f"peak sensitivity {size}, {axis.name}: zone {axis.zones} ({STANDARD})"
+        return f"peak sensitivity {size}, {axis.name}: zone {self.zones} ({STANDARD})"
 
     @property
     def singular(self) -> np.ndarray:
@@ -123,6 +127,12 @@ class MeasuredMargins(Shown):
         told = np.isfinite(self.matrix).all(axis=(1, 2))
         values = np.linalg.norm(np.where(told[:, None, None], self.matrix, 0), 2, axis=(1, 2))
         return np.where(told, values, np.nan)
+
+
+def _zones(low: float, high: float) -> str:
+    """Return the zones of peaks between two."""
+    every = [zone for _, zone in ZONES] + ["D"]
+    return " or ".join(every[every.index(zone_of(low)) : every.index(zone_of(high)) + 1])
 
 
 def measured_margins(recording: InjectionRecording, runs: Sequence[str] = ()) -> tuple[MeasuredMargins, ...]:
@@ -170,7 +180,7 @@ def _together(recording: InjectionRecording, group: Sequence[RunSpectra]) -> Mea
     axes, notes, matrix = [], [], np.full((len(hz), len(names), len(names)), np.nan, complex)
     for j, name in enumerate(names):
         own = column(group, name, names, hz)
-        matrix[:, :, j] = own.S
+        matrix[:, :, j] = np.where(own.measured(j)[:, None], own.S, np.nan)
         axis, said = _axis(group, name, names, hz, own)
         axes.append(axis)
         notes += [*said, *_unmeasured(axis, judged), *_narrow(axis, step)]

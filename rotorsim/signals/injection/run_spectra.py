@@ -12,10 +12,10 @@ from scipy.ndimage import uniform_filter1d
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.margins import LARGEST_FREQUENCY
 from rotorsim.recordings.injection import AFTER, BEFORE, TEST, InjectionRecording
-from rotorsim.recordings.recording import Run
+from rotorsim.recordings.recording import ANGLE, Run
 from rotorsim.signals.injection.local_polynomial import SMOOTHED, Spectra
 from rotorsim.signals.injection.steady_lines import SteadyLine, without_lines, without_shapes
-from rotorsim.signals.shaft_angle import ShaftAngle, refuse_run_up, shaft_angle
+from rotorsim.signals.shaft_angle import ShaftAngle, pulses_of, refuse_run_up, shaft_angle
 
 INJECTED = 0.1  # of the rms of the largest test signal of a run: an axis with less is not injected at
 SILENT = 0.001  # of it: an axis with less has no test signal at all, and what it has cannot disturb the others
@@ -120,11 +120,14 @@ def _refuse_dependent(spectra: Spectra, names: list[str], run: Run) -> None:
 
 
 def _angle(recording: InjectionRecording, run: Run) -> ShaftAngle | None:
-    """Return the shaft angle of a run; None for one that says nothing of it. Raises RotorsimError for a run-up."""
-    try:
-        angle = shaft_angle(recording, run)
-    except RotorsimError:
+    """Return the shaft angle of a run; None for one that says nothing of it.
+
+    Raises RotorsimError for a run-up, and for pulses or an angle that make no sense.
+    """
+    has_angle = recording.column(ANGLE) in run.values
+    if not has_angle and run.speed is None and len(pulses_of(recording, run)[0]) < 2:
         return None
+    angle = shaft_angle(recording, run)
     if angle.phase_known:
         refuse_run_up(f"run {run.id}", run.place, run.time, angle.theta)
     return angle

@@ -53,7 +53,7 @@ def without_lines(spectra: Spectra, highest: float) -> tuple[Spectra, list[Stead
     found: list[SteadyLine] = []
     rest = np.zeros(len(spectra.U), bool)
     every = np.arange(half + 1, last + 1)
-    every = every[spectra.excited()[every].any(axis=1)]
+    every = every[spectra.excited[every].any(axis=1)]
     if len(every) < 2 * LINES_AROUND:
         return spectra, found, rest
     left = _left(spectra, every, half)

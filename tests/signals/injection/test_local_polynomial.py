@@ -92,8 +92,8 @@ def test_an_input_excites_what_stands_out_of_its_least_power():
     random = np.random.default_rng(1)
     tone = np.sin(2 * np.pi * 100 * TIME)[:, None]
     noisy = Spectra.of(tone + 1e-3 * random.standard_normal(tone.shape), tone, RATE)
-    excited = np.flatnonzero(noisy.excited()[:, 0]) * noisy.step
+    excited = np.flatnonzero(noisy.excited[:, 0]) * noisy.step
     excited = excited[excited > 5.0]  # below is what a parabola leaves
     assert 98 < excited.min() < 100 < excited.max() < 102
     white = Spectra.of(random.standard_normal(tone.shape), tone, RATE)
-    assert white.excited().all()
+    assert white.excited.all()
