@@ -95,14 +95,14 @@ def _recording(name: str, against: Diagram | None) -> Found:
     against: the diagram whose signals and parameters it names.
     """
     from rotorsim.measure.checks import check_signals
-    from rotorsim.recordings.injection import holds_injection
+    from rotorsim.recordings.document import recording_kind
     from rotorsim.recordings.orders import OrderRecording, load_any
     from rotorsim.report.text.recording import contents, contents_line
     from rotorsim.signals.pickup import check_harmonics
 
     entry: dict[str, Any] = {"recording": name, "valid": False}
     try:
-        if holds_injection(name):
+        if recording_kind(name) == "injection":
             return _injection(entry, name, against)
         recording = load_any(name)
         if isinstance(recording, OrderRecording):

@@ -93,9 +93,9 @@ def command(
         unheard = {"--solver": solver, "--step": step, "--stop": stop, "--no-compiler": no_compiler}
         hint = "the recorded instants say where it goes, in steps that are short enough"
         refuse_all([Problem(f"{name} does not go with --input", hint=hint) for name, used in unheard.items() if used])
-        from rotorsim.recordings.orders import holds_orders
+        from rotorsim.recordings.document import recording_kind
 
-        if holds_orders(recording):
+        if recording_kind(recording) == "orders":
             unheard = {"--start": start, "--record": bool(record), "--out": out}
             hint = "orders are compared row by row: --plot draws them, --json prints the errors"
             problems = [Problem(f"{name} does not go with orders", hint=hint) for name, used in unheard.items() if used]

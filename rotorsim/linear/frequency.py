@@ -24,12 +24,10 @@ from rotorsim.linear.linearisation import (
 from rotorsim.linear.loop import RATE, SENSOR, linear_system, undisturbed_rates
 from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.stability import growing, growing_multipliers
-from rotorsim.linear.state_space import StateSpace
+from rotorsim.linear.state_space import StateSpace, frequencies_near
 from rotorsim.model.compiled import Model
 
 DEFAULT_RANGE = (0.1, 2000.0)  # Hz
-POINTS_A_DECADE = 150
-AROUND_A_POLE = np.linspace(-3, 3, 13)  # half widths
 ZERO_PART = 1e-9  # of the largest response: rounding
 
 
@@ -136,14 +134,6 @@ def frequency_response(
         provenance=provenance(model, parameters, "frequency_response"),
     )
     return replace(found, peaks=tuple(_peaks(system, found)))
-
-
-def frequencies_near(poles: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Return frequencies [Hz] from low to high, logarithmic, and dense at the poles [1/s] in between."""
-    width = np.abs(poles.real) / (2 * np.pi)
-    near = ((np.abs(poles.imag) / (2 * np.pi))[:, None] + width[:, None] * AROUND_A_POLE).ravel()
-    count = max(round(POINTS_A_DECADE * np.log10(high / low)), 2)
-    return np.unique(np.concatenate([np.geomspace(low, high, count), near[(near > low) & (near < high)]]))
 
 
 def _peaks(system: StateSpace | SampledData, found: FrequencyResponse) -> Iterator[ResponsePeak]:

@@ -14,6 +14,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.linearisation import provenance, speed_of
 from rotorsim.linear.loop import Loop, injections, open_loop_of, sensor_ports
+from rotorsim.linear.state_space import frequencies_near
 from rotorsim.model.compiled import Model
 
 STANDARD = "ISO 14839-3:2006"
@@ -200,11 +201,7 @@ def _judged(loop: Loop, top: float) -> tuple[np.ndarray, np.ndarray]:
     highest = max(top, WELL_ABOVE * float(np.abs(poles).max(initial=0.0)) / (2 * np.pi))
     if loop.is_sampled:  # above half of the fastest rate the response at one frequency tells no margin
         highest = max(top, loop.fastest_rate / 2)
-    width = np.abs(poles.real) / (2 * np.pi)
-    near = (np.abs(poles.imag) / (2 * np.pi))[:, None] + width[:, None] * np.linspace(-3, 3, 13)
-    count = round(120 * np.log10(highest / LOWEST_FREQUENCY))
-    hz = np.unique(np.concatenate([np.geomspace(LOWEST_FREQUENCY, highest, count), [top], near.ravel()]))
-    hz = hz[(hz >= LOWEST_FREQUENCY) & (hz <= highest)]
+    hz = np.union1d(frequencies_near(poles, LOWEST_FREQUENCY, highest), top)
     return hz, loop.sensitivity(hz)
 
 

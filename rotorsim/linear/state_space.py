@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+POINTS_A_DECADE = 150
+AROUND_A_POLE = np.linspace(-3, 3, 13)  # half widths
+
 
 @dataclass(frozen=True)
 class StateSpace:
@@ -66,3 +69,11 @@ def reached(pattern: np.ndarray, start: np.ndarray) -> np.ndarray:
         if (more == start).all():
             return np.asarray(start)
         start = more
+
+
+def frequencies_near(poles: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Return frequencies [Hz] from low to high, logarithmic, and dense at the poles [1/s] in between."""
+    width = np.abs(poles.real) / (2 * np.pi)
+    near = ((np.abs(poles.imag) / (2 * np.pi))[:, None] + width[:, None] * AROUND_A_POLE).ravel()
+    count = max(round(POINTS_A_DECADE * np.log10(high / low)), 2)
+    return np.unique(np.concatenate([np.geomspace(low, high, count), near[(near > low) & (near < high)]]))

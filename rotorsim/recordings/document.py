@@ -131,6 +131,12 @@ def read_source(path: str | Path) -> tuple[Source, Path]:
     return read_document(path, RECORDING_FORM), path.parent
 
 
+def recording_kind(path: str | Path) -> str:
+    """Return the kind of a recording.json, or of the one in a folder: "samples", "orders". Raises RotorsimError."""
+    source, _ = read_source(path)
+    return str(source.data.get("kind", "samples")) if isinstance(source.data, dict) else "samples"
+
+
 def parse_recording(
     source: Source, folder: Path, *, files: bool = True, parser_class: type[DocumentParser] | None = None
 ) -> Document:

@@ -64,12 +64,6 @@ def port_of(entry: str) -> str:
     return entry.partition("[")[0]
 
 
-def holds_injection(path: str | Path) -> bool:
-    """Return whether a recording.json, or the one in a folder, is of kind "injection". Raises RotorsimError."""
-    source, _ = read_source(path)
-    return isinstance(source.data, dict) and source.data.get("kind") == "injection"
-
-
 def load_injection(path: str | Path) -> InjectionRecording:
     """Read a recording of kind "injection": ``path`` is its folder or its recording.json.
 

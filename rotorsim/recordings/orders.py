@@ -13,7 +13,7 @@ import numpy as np
 from rotorsim.diagram.parse.source import JsonPath
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 from rotorsim.recordings.directions import along_axes
-from rotorsim.recordings.document import EXAMPLES, RECORDING_KEYS, REQUIRED, DocumentParser, read_source
+from rotorsim.recordings.document import EXAMPLES, RECORDING_KEYS, REQUIRED, DocumentParser, read_source, recording_kind
 from rotorsim.recordings.loading import load_recording
 from rotorsim.recordings.readers.columns import read_table
 from rotorsim.recordings.recording import ANGLE, TACHO, USES, Channel, Recording
@@ -121,12 +121,6 @@ class OrderRecording:
         return f"OrderRecording({self.name}: {len(self.runs)} runs, {', '.join(self.channels)})"
 
 
-def holds_orders(path: str | Path) -> bool:
-    """Return whether a recording.json, or the one in a folder, is of kind "orders". Raises RotorsimError."""
-    source, _ = read_source(path)
-    return isinstance(source.data, dict) and source.data.get("kind") == "orders"
-
-
 def load_orders(path: str | Path) -> OrderRecording:
     """Read order vectors: ``path`` is a folder with a recording.json of kind "orders", or that file.
 
@@ -155,7 +149,7 @@ def load_orders(path: str | Path) -> OrderRecording:
 
 def load_any(path: str | Path) -> Recording | OrderRecording:
     """Read a recording of samples or of orders. Raises RotorsimError with every mistake."""
-    return load_orders(path) if holds_orders(path) else load_recording(path)
+    return load_orders(path) if recording_kind(path) == "orders" else load_recording(path)
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ import pytest
 
 from rotorsim.errors import RotorsimError
 from rotorsim.recordings import orders
+from rotorsim.recordings.document import recording_kind
 from rotorsim.recordings.loading import load_recording
-from rotorsim.recordings.orders import holds_orders, load_any, load_orders
+from rotorsim.recordings.orders import load_any, load_orders
 from tests.identification.orders import CHANNEL, write
 
 SPEED = 1000.0 + 10 * np.arange(25)
@@ -113,7 +114,7 @@ def test_time_that_falls_and_too_few_rows_are_refused(tmp_path):
 
 def test_orders_are_not_read_as_samples(tmp_path):
     folder = write(tmp_path / "r", SPEED, VECTORS)
-    assert holds_orders(folder)
+    assert recording_kind(folder) == "orders"
     assert load_any(folder).runs[0].id == "up"
     with pytest.raises(RotorsimError) as error:
         load_recording(folder)

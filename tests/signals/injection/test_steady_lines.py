@@ -52,6 +52,7 @@ def test_a_narrow_resonance_is_no_line():
 
 def test_a_line_whose_frequency_wanders_is_left_where_it_is():
     wandering = np.cos(2 * np.pi * 90 * TIME + 4 * np.sin(2 * np.pi * 0.1 * TIME))
-    cleaned, found, rest = without_lines(made(3.0 * wandering), 300.0)
-    near = np.abs(np.array([one.frequency for one in found]) - 90) < 2
-    assert not near.any() or rest[int(90 / cleaned.step)]
+    dirty = made(3.0 * wandering)
+    cleaned, found, rest = without_lines(dirty, 300.0)
+    assert (found, rest.any()) == ([], False)
+    np.testing.assert_array_equal(cleaned.Y, dirty.Y)
