@@ -37,6 +37,7 @@ VERBS = {
     "campbell": "Natural frequencies against speed, tracked.",
     "frequency": "Frequency response from a port to a signal: Bode plot, peaks.",
     "margins": "Stability margins of bearing loops after ISO 14839-3, of a diagram or of an injected sweep.",
+    "accept": "Judge a machine by ISO 14839 and API 617, by its diagram and by recordings: one report.",
     "periodic": "The settled motion at one or many speeds by harmonic balance.",
     "spectrum": "Full spectrum and harmonics of two-axis signals of a recording, a result or a diagram.",
     "orders": "Orders of run-ups over the speed: Bode, polar, cascade; critical speeds and separation margins.",

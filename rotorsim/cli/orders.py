@@ -18,11 +18,11 @@ from rotorsim.cli.shared import (
     known_names,
     note,
     plot_option,
-    quantity,
     refuse_if,
     save_plot,
     show,
     show_problems,
+    span_of,
 )
 from rotorsim.errors import Problem, RotorsimError
 
@@ -99,8 +99,8 @@ def command(
     rotorsim orders jeffcott_runup --order 1
     """
     check_folder("--out", out)
-    span = None if operating is None else _span(operating, "--operating")
-    slow = None if slow_roll is None else _span(slow_roll, "--slow-roll")
+    span = None if operating is None else span_of(operating, "--operating")
+    slow = None if slow_roll is None else span_of(slow_roll, "--slow-roll")
     wanted = tuple(dict.fromkeys(orders))
     read = _read(chosen)
     given = _given(read, runs, wanted, turns)
@@ -143,15 +143,6 @@ def command(
     hint = "a speed that turns back, a rub, a clipped probe? the figure shows what the modes leave"
     what = "the motion is not that of linear modes, and no critical speed is told"
     refuse_if(untold, what, "; ".join(untold), hint=hint, exit_code=1)
-
-
-def _span(text: str, option: str) -> tuple[float, float]:
-    """Return the ends [rad/s] of a range of speeds such as ``"3000 rpm:3600 rpm"``, or of one speed."""
-    ends = [quantity(part.strip(), "rad/s", option) for part in text.split(":")]
-    hint = f"for example {option} '3000 rpm:3600 rpm'"
-    refuse_if(len(ends) > 2 or min(ends) < 0 or ends[-1] < ends[0], f"{option} {text}: not LOW:HIGH", hint=hint)
-    refuse_if(ends[-1] == 0, f"{option} {text}: a shaft that does not turn", hint=hint)
-    return ends[0], ends[-1]
 
 
 def _read(chosen: Chosen) -> Recording | OrderRecording:

@@ -98,17 +98,17 @@ def _injections(diagram: Diagram, port: str, count: int) -> list[Injection]:
     names, unit = entry_names(port, declared.shape), declared.unit or "1"
     if name in node.outputs:
         return [Injection(entry, port, entry, unit) for entry in names]
-    signals = _arriving(diagram, block, name)
+    signals = arriving(diagram, block, name)
     if signals is None:
         hint = "each entry of the input needs one wire; or name the output port that feeds it"
         raise RotorsimError(Problem("not every entry of this input is one signal", port, hint=hint))
     made = [Injection(entry, port, signal, unit) for entry, signal in zip(names, signals, strict=True)]
-    rates = _arriving(diagram, block, RATE) if name == SENSOR and RATE in node.inputs else None
+    rates = arriving(diagram, block, RATE) if name == SENSOR and RATE in node.inputs else None
     of_rate = f"{block}.{RATE}"
     return made + [Injection(of_rate, of_rate, signal, "", count + k) for k, signal in enumerate(rates or ())]
 
 
-def _arriving(diagram: Diagram, block: str, port: str) -> list[str] | None:
+def arriving(diagram: Diagram, block: str, port: str) -> list[str] | None:
     """Return the name of the signal that arrives at each entry of an input port; None where one has none or several."""
     shape = diagram.nodes[block].inputs[port].shape
     entries = np.full(shape, "", object)
@@ -252,7 +252,7 @@ def undisturbed_rates(diagram: Diagram, ports: Collection[str]) -> list[str]:
     for wire in diagram.wires:
         port, end, node = f"{wire.source.block}.{wire.source.port}", wire.target, diagram.nodes[wire.target.block]
         is_sensor = port in ports and node.block.category == "controller" and end.port == SENSOR
-        if is_sensor and RATE in node.inputs and _arriving(diagram, end.block, RATE):
+        if is_sensor and RATE in node.inputs and arriving(diagram, end.block, RATE):
             rate = f"'{port}' is disturbed, and '{end.block}.{RATE}' is not"
             said.append(f"{rate}: name '{end.block}.{SENSOR}' where one sensor gives both")
     return list(dict.fromkeys(said))

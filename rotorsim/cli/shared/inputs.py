@@ -269,6 +269,15 @@ def window_of(window: str) -> tuple[float, float]:
     return ends[0], ends[1]
 
 
+def span_of(text: str, option: str) -> tuple[float, float]:
+    """Return the ends [rad/s] of a range of speeds such as ``"3000 rpm:3600 rpm"``, or of one speed."""
+    ends = [quantity(part.strip(), "rad/s", option) for part in text.split(":")]
+    hint = f"for example {option} '3000 rpm:3600 rpm'"
+    refuse_if(len(ends) > 2 or min(ends) < 0 or ends[-1] < ends[0], f"{option} {text}: not LOW:HIGH", hint=hint)
+    refuse_if(ends[-1] == 0, f"{option} {text}: a shaft that does not turn", hint=hint)
+    return ends[0], ends[-1]
+
+
 def speeds_of(text: str, option: str = "--speeds") -> np.ndarray:
     """Return the speeds [rad/s] of ``"900 rpm:100 rpm:6000 rpm"`` (start:step:stop), a list ``a,b,c``, or one.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -29,6 +29,7 @@ from rotorsim.report.figures.orbits import orbits_figure
 from rotorsim.report.figures.samples import beside_figure, residuals_in_time_figure
 from rotorsim.report.figures.spectra import residuals_figure, spectra_figure
 from rotorsim.report.figures.speed_curves import speed_curves_figure
+from rotorsim.report.page import Drawn
 from rotorsim.report.style import BLUE, RED, Look
 
 GIVEN = Look("diagram as given", RED, "s", "--", 8.5)
@@ -56,14 +57,6 @@ ROWS_TITLE = (
     "What is left of each row in standard deviations of the noise, and how alike rows are that lie some rows apart: "
     "noise stays within the band."
 )
-
-
-class Drawn(NamedTuple):
-    """A figure with its name and caption; None where there is nothing to show."""
-
-    name: str
-    figure: Figure | None
-    caption: str
 
 
 class Compared(Protocol):

@@ -7,8 +7,8 @@ from typing import Any
 
 from rotorsim.diagnosis.conclude.result import Diagnosis, Effect
 from rotorsim.errors import escape
-from rotorsim.report.diagnosis.page import paragraph, table
 from rotorsim.report.diagnosis.words import estimate, flat, own_parameters, percent, place_words, plain_words, quantity
+from rotorsim.report.page import paragraph, table
 from rotorsim.report.text.table import rpm
 
 CONSISTENT = "No fault candidate of the catalogue explains more than noise would"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,15 +13,16 @@ from rotorsim.diagnosis.files import diagnosis_data, repaired_document
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError, escape
 from rotorsim.files import write_atomically
-from rotorsim.report.diagnosis.compared import Compared, Drawn, compared, is_unchanged, looks_of
+from rotorsim.report.diagnosis.compared import Compared, compared, is_unchanged, looks_of
 from rotorsim.report.diagnosis.effects import what_is_missing
-from rotorsim.report.diagnosis.page import Page, paragraph, table
 from rotorsim.report.diagnosis.parameters import parameters_figure
 from rotorsim.report.diagnosis.places import NEW, SHADES, block_diagram, places_figure
 from rotorsim.report.diagnosis.provenance import provenance
 from rotorsim.report.diagnosis.rivals import fits_table, rivals_tables
 from rotorsim.report.diagnosis.signals import missing_signals
 from rotorsim.report.diagnosis.words import estimate, percent, plain_words
+from rotorsim.report.page import Drawn, Page, paragraph, table
+from rotorsim.report.provenance import own_command
 
 REPORT = "report.html"
 VERDICT_WORDS = {
@@ -44,14 +43,9 @@ def save_report(diagnosis: Diagnosis, folder: str | Path, *, command: str | None
     folder.mkdir(parents=True, exist_ok=True)
     page, both = Page(folder), compared(diagnosis)
     title = f"Diagnosis of {diagnosis.document.get('name', 'diagram')} from {diagnosis.evidence.recording.name}"
-    sections = _sections(diagnosis, both, page, title, _command() if command is None else command)
+    sections = _sections(diagnosis, both, page, title, own_command() if command is None else command)
     write_atomically(folder / REPORT, page.html(title, sections))
     return [folder / REPORT, *page.files]
-
-
-def _command() -> str:
-    name = Path(sys.argv[0]).stem
-    return shlex.join(["rotorsim", *sys.argv[1:]]) if name in ("rotorsim", "__main__") else ""
 
 
 def _sections(diagnosis: Diagnosis, both: Compared, page: Page, title: str, command: str) -> Iterator[str]:

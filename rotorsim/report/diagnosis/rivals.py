@@ -9,8 +9,8 @@ from rotorsim.diagnosis.conclude.result import Diagnosis, Effect
 from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.errors import escape
 from rotorsim.report.diagnosis.compared import looks_of
-from rotorsim.report.diagnosis.page import paragraph, table
 from rotorsim.report.diagnosis.words import place_words, plain_words
+from rotorsim.report.page import paragraph, table
 
 MISFIT = "Misfit: sum of squares of the residual, in standard deviations of the noise. Degrees of freedom: equations "
 MISFIT += "less unknowns."

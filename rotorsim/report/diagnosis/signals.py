@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from rotorsim.diagnosis.conclude.result import Diagnosis
-from rotorsim.report.diagnosis.compared import Drawn
-from rotorsim.report.diagnosis.page import Page, paragraph, table
 from rotorsim.report.diagnosis.places import place_classes
 from rotorsim.report.figures.missing_signal import missing_signal_figure
+from rotorsim.report.page import Drawn, Page, paragraph, table
 
 CAPTION = (
     "What must be added there to explain all recorded outputs, by a Kalman smoother that knows no law; in SI where "

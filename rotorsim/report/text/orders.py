@@ -11,7 +11,7 @@ from rotorsim.criteria import Z90
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
 from rotorsim.report.text.table import counted, display_unit, rpm, table
 from rotorsim.signals.orders.critical_speeds import CriticalSpeed, CriticalSpeeds
-from rotorsim.signals.orders.resonance import RESPONSIVE, Margin, Peak, peak_in, separation_margin
+from rotorsim.signals.orders.resonance import RESPONSIVE, Peak, peak_in
 from rotorsim.units import conversion
 
 WHIRLS = ((0.2, "forward"), (-0.2, "planar"), (-np.inf, "backward"))  # from which share of a circle
@@ -114,20 +114,9 @@ def whirl_text(one: CriticalSpeed) -> str:
     return next(word for least, word in WHIRLS if one.whirl > least)
 
 
-def margin_of(one: CriticalSpeed, operating: Operating) -> tuple[Margin, str]:
-    """Return the separation margin, and whether it is met at both ends of the 90 % intervals: yes, no, or unsure."""
-    margin = separation_margin(one.peak.speed, one.peak.amplification, *operating)
-    corners = [
-        separation_margin(speed, amplification, *operating).met
-        for speed in one.interval90("speed")
-        for amplification in one.interval90("amplification")
-    ]
-    return margin, "met" if all(corners) else "not met" if not any(corners) else "unsure"
-
-
 def margin_cells(one: CriticalSpeed, operating: Operating) -> list[str]:
     """Return actual and required margin and the verdict."""
-    margin, verdict = margin_of(one, operating)
+    margin, verdict = one.separation(*operating)
     needed = "none" if one.peak.amplification < RESPONSIVE else f"{margin.required:.3g} %"
     return [f"{margin.actual:.3g} %", needed, verdict]
 
@@ -186,7 +175,7 @@ def _critical_data(found: CriticalSpeeds, operating: Operating | None) -> dict[s
 
 
 def _margin_data(one: CriticalSpeed, operating: Operating) -> dict[str, Any]:
-    margin, verdict = margin_of(one, operating)
+    margin, verdict = one.separation(*operating)
     return {"separation_margin": {"actual": margin.actual, "required": margin.required, "verdict": verdict}}
 
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 
-def table(header: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
-    """Return columns aligned: the first to the left, the others to the right."""
+def table(header: Sequence[str], lines: Iterable[Sequence[str]], *, left: Collection[int] = (0,)) -> str:
+    """Return columns aligned: some to the left, the others to the right."""
     rows = [header, *lines]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    text = (
-        [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
-        for row in rows
-    )
+    sides = [str.ljust if k in left else str.rjust for k in range(len(widths))]
+    text = ([to(cell, width) for to, cell, width in zip(sides, row, widths, strict=True)] for row in rows)
     return "\n".join("  ".join(cells).rstrip() for cells in text)
 
 

@@ -29,7 +29,7 @@ from rotorsim.criteria import Z90
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.orders import OrderChannel, OrderRun
 from rotorsim.signals.orders.modal_fit import ModalFit, PassedRun, covariance_of, searched, with_one_more
-from rotorsim.signals.orders.resonance import Peak, peak_of, settled_response
+from rotorsim.signals.orders.resonance import Margin, Peak, peak_of, separation_margin, settled_response
 from rotorsim.signals.orders.rows import slowness
 
 MOST_MODES = 4
@@ -59,6 +59,16 @@ class CriticalSpeed:
         values = {"speed": self.peak.speed, "amplification": self.peak.amplification}
         value, std = values[name] if name in values else getattr(self, name), self.std[name]
         return value - Z90 * std, value + Z90 * std
+
+    def separation(self, lowest: float, highest: float) -> tuple[Margin, str]:
+        """Return the margin from operating speeds [rad/s], and "met", "not met", or "unsure" within both intervals."""
+        margin = separation_margin(self.peak.speed, self.peak.amplification, lowest, highest)
+        corners = [
+            separation_margin(speed, amplification, lowest, highest).met
+            for speed in self.interval90("speed")
+            for amplification in self.interval90("amplification")
+        ]
+        return margin, "met" if all(corners) else "not met" if not any(corners) else "unsure"
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The HTML page of a diagnosis: its style, its tables, and its figures, which are written as PNG as well."""
+"""HTML pages of reports: their style, their tables, and their figures, which are written as PNG as well."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ import io
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
+
+from matplotlib.figure import Figure
 
 from rotorsim.errors import escape
 from rotorsim.files import write_atomically
-from rotorsim.report.diagnosis.compared import Drawn
 from rotorsim.report.style import styled
 
 STYLE = """
@@ -25,10 +27,20 @@ figure img,figure svg{max-width:100%;height:auto}figcaption{font-size:.88em;colo
 .wide{overflow-x:auto}.small{font-size:.85em;color:#555}
 code{background:#f2f2f0;padding:.1em .3em;overflow-wrap:anywhere}
 .key{display:inline-block;width:1em;height:1em;border:3px solid;border-radius:3px;vertical-align:-.2em}
-.key{margin:0 .3em 0 .8em}@media print{h2{break-after:avoid}figure,tr{break-inside:avoid}}
+.key{margin:0 .3em 0 .8em}@page{size:A4;margin:15mm}
+@media print{body{padding:0;max-width:none;font-size:10pt}h2,h3{break-after:avoid}figure,tr{break-inside:avoid}
+.wide{overflow:visible}*{print-color-adjust:exact}}
 """
 DPI = 130
 SMALL_CLASS = ' class="small"'
+
+
+class Drawn(NamedTuple):
+    """A figure with its name and caption; None where there is nothing to show."""
+
+    name: str
+    figure: Figure | None
+    caption: str
 
 
 @dataclass

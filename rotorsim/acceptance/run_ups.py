@@ -1,0 +1,76 @@
+"""API 617: critical speeds that a run-up or coast-down has passed, and their separation margins, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorsim.acceptance.conditions import Conditions
+from rotorsim.acceptance.criterion import API_684, Criterion, Part, judged
+from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
+from rotorsim.recordings.recording import Recording
+from rotorsim.signals.orders.critical_speeds import CriticalSpeed, CriticalSpeeds, critical_speeds
+from rotorsim.signals.orders.extraction import tracked_recording
+from rotorsim.signals.orders.resonance import RESPONSIVE
+from rotorsim.signals.turning import is_run_up
+
+CLAUSE, WHAT = f"{API_684}, SP6.8.2.10", "separation margin"
+
+
+@dataclass(frozen=True, eq=False)
+class PassedRunUp:
+    """A run-up or coast-down, and the critical speeds that it has passed."""
+
+    run: OrderRun
+    channels: Mapping[str, OrderChannel]
+    found: CriticalSpeeds
+
+
+def run_ups_of(recording: Recording) -> list[str]:
+    """Return the runs whose speed changes."""
+    return [run.id for run in recording.runs if is_run_up(recording, run)]
+
+
+def measured_critical_speeds(recording: Recording | OrderRecording, given: Conditions) -> Part:
+    """Return the critical speeds of 1X of every run, corrected for the sweep rate, and their separation margins."""
+    title = f"Critical speeds, {recording.name}"
+    return judged(title, CLAUSE, WHAT, lambda: _passed(title, recording, given))
+
+
+def _passed(title: str, recording: Recording | OrderRecording, given: Conditions) -> Part:
+    notes: list[str] = []
+    if isinstance(recording, Recording):
+        recording = tracked_recording(recording, (1,))[0]
+        notes += [f"{one.subject}: {one.what}" for one in recording.warnings]
+    made: list[Criterion] = []
+    results = []
+    for run in recording.runs:
+        found = critical_speeds(run, recording.channels, 1)
+        results.append(PassedRunUp(run, recording.channels, found))
+        if not found.explained:
+            notes.append(f"{run.id}: the modes leave {found.excess:.3g} times the variance of the noise")
+        made += [_criterion(one, run.id, given) for one in found.found]
+        if not found.found:
+            low, high = (end * 30 / np.pi for end in (found.speed.min(), found.speed.max()))
+            where = f"{run.id}, {low:.5g} to {high:.5g} rpm"
+            if found.explained:
+                made.append(Criterion(CLAUSE, WHAT, where, 0.0, 0.0, "%", source="measured", said="no critical speed"))
+            else:
+                made.append(Criterion(CLAUSE, WHAT, where, source="measured", said="no critical speed is told"))
+    return Part(title, tuple(made), tuple(notes), tuple(results))
+
+
+def _criterion(one: CriticalSpeed, run: str, given: Conditions) -> Criterion:
+    low, high = (end * 30 / np.pi for end in one.interval90("speed"))
+    af = one.interval90("amplification")
+    speed = f"{one.peak.speed * 30 / np.pi:.5g} rpm ({low:.5g} to {high:.5g})"
+    where = f"{run}, N_c {speed}, AF {one.peak.amplification:.3g} ({af[0]:.3g} to {af[1]:.3g})"
+    if not np.isfinite(given.highest):
+        return Criterion(CLAUSE, WHAT, where, source="measured", said="no operating speed is given: --operating")
+    margin, verdict = one.separation(given.lowest, given.highest)
+    said = f"AF below {RESPONSIVE:g}: no margin needed" if one.peak.amplification < RESPONSIVE else ""
+    return Criterion(
+        CLAUSE, WHAT, where, margin.actual, margin.required, "%", False, source="measured", said=said, stated=verdict
+    )
