@@ -16,7 +16,7 @@ from rotorsim.linear.unbalance_response import plane_entries, planes_of
 from rotorsim.model.compiled import Model
 
 TRIP = 1.05  # times the largest operating speed, API 617 for drives of variable speed
-ZONES = ("A", "B")
+ACCEPTED_ZONES = ("A", "B")
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def conditions_of(
         problems.append(Problem("the trip speed is below the largest operating speed", "trip"))
     if mass is not None and not mass > 0:
         problems.append(Problem("the mass of the rotor must be positive [kg]", "mass"))
-    if zone not in ZONES:
+    if zone not in ACCEPTED_ZONES:
         problems.append(Problem(f"zone {zone} accepts nothing: A or B", "zone"))
     diagram = None if model is None else model.diagram
     probes = () if diagram is None else probes_of(diagram)

@@ -13,16 +13,16 @@ from rotorsim.errors import RotorsimError
 from rotorsim.linear.campbell import Campbell, campbell
 from rotorsim.linear.eigenmodes import RESONANT, modes
 from rotorsim.linear.linearisation import as_model, flat_names, linearise, speed_of
-from rotorsim.linear.loop import linear_system
+from rotorsim.linear.loop import growing_poles, linear_system
 from rotorsim.linear.sampled_data import SampledData
-from rotorsim.linear.stability import growing, growing_multipliers
+from rotorsim.linear.stability import growing
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.linear.unbalance_response import plane_entries
 from rotorsim.model.compiled import Model
 
-TITLE = "Damping of the modes"
+DAMPING_TITLE = "Damping of the modes"
 LEVEL_1, STABILITY = f"{API_617}, 4.8.5 (level I)", f"{API_684}, 3"
-FOLLOWED = 40  # steps in which a mode is followed
+COUPLINGS = 40  # between 0.001 and 1000 times the anticipated one, at which stability is looked at
 LEAST_DECREMENT = 0.1  # of the first forward mode, API 617 level I
 LEAST_RATIO = 2.0  # of the cross coupling at the limit of stability to that which is anticipated, API 617 level I
 CAMPBELL_SPEEDS = 41
@@ -53,7 +53,7 @@ def decrement_of(pole: complex) -> float:
 
 def damped_modes(model: Model, given: Conditions) -> Part:
     """Return the logarithmic decrement of the modes of the closed loop, at the largest operating speed."""
-    return judged(TITLE, LEVEL_1, "log decrement", lambda: _damped(model, given))
+    return judged(DAMPING_TITLE, LEVEL_1, "log decrement", lambda: _damped(model, given))
 
 
 def _damped(model: Model, given: Conditions) -> Part:
@@ -83,7 +83,7 @@ def _damped(model: Model, given: Conditions) -> Part:
         notes.append("sampled controllers: the modes are those of the exact loop; their whirl is not told")
     for plane, coupling in given.cross_coupling.items():
         made += _coupled(model, turning, plane, coupling, at)
-    return Part(TITLE, tuple(made), tuple(notes), tuple(results))
+    return Part(DAMPING_TITLE, tuple(made), tuple(notes), tuple(results))
 
 
 def _stable(stable: bool, at: str) -> Criterion:
@@ -126,11 +126,7 @@ def _modes(model: Model, turning: dict[str, float]) -> tuple[tuple[DampedMode, .
     resonant = (poles.imag > 0) & (-poles.real < RESONANT * np.abs(poles))
     seen = resonant & (poles.imag < np.pi / system.shortest) & (poles.imag <= 2 * np.pi * HIGHEST_MODE)
     listed = [DampedMode(float(p.imag / (2 * np.pi)), decrement_of(p), "") for p in poles[seen]]
-    return (
-        tuple(sorted(listed, key=lambda mode: mode.frequency)),
-        list(notes),
-        not len(growing_multipliers(system.monodromy)),
-    )
+    return (tuple(sorted(listed, key=lambda mode: mode.frequency)), list(notes), not len(growing_poles(system)))
 
 
 def _coupled(model: Model, turning: dict[str, float], plane: str, coupling: float, at: str) -> list[Criterion]:
@@ -141,13 +137,10 @@ def _coupled(model: Model, turning: dict[str, float], plane: str, coupling: floa
     except RotorsimError as error:
         return [Criterion(LEVEL_1, "log decrement", where, said=error.problems[0].what)]
     across = system.B @ np.array([[0.0, -1.0], [1.0, 0.0]]) @ rows
-    first = _first_forward(system.A, rows)
+    first = _first_forward(system.A + coupling * across, rows)
     if first is None:
         return [Criterion(LEVEL_1, "log decrement", where, said="no forward mode")]
-    for part in np.linspace(0, 1, FOLLOWED + 1)[1:]:
-        values = np.linalg.eigvals(system.A + part * coupling * across)
-        first = values[np.argmin(np.abs(values - first))]
-    decrement = decrement_of(complex(first))
+    decrement = decrement_of(first)
     words = f"first forward mode, {abs(first.imag) / (2 * np.pi):.4g} Hz, {where}"
     made = [Criterion(LEVEL_1, "log decrement", words, decrement, LEAST_DECREMENT, at_most=False)]
 
@@ -158,7 +151,7 @@ def _coupled(model: Model, turning: dict[str, float], plane: str, coupling: floa
     if is_stable(high):
         low, said = high, f"stable beyond {MOST_COUPLING:g} times"
     else:
-        grid = np.concatenate([[0.0], np.geomspace(1e-3, MOST_COUPLING, FOLLOWED)])
+        grid = np.concatenate([[0.0], np.geomspace(1e-3, MOST_COUPLING, COUPLINGS)])
         outside = next((k for k, ratio in enumerate(grid) if not is_stable(float(ratio))), len(grid) - 1)
         low, high = (float(grid[outside - 1]), float(grid[outside])) if outside else (0.0, 0.0)
         while high - low > 1e-6 * high:
@@ -169,7 +162,7 @@ def _coupled(model: Model, turning: dict[str, float], plane: str, coupling: floa
 
 
 def _first_forward(A: np.ndarray, rows: np.ndarray) -> complex | None:
-    """Return the pole of the lowest mode that whirls forward at a plane and may resonate."""
+    """Return the pole of the lowest mode that whirls forward at a plane and may resonate; None without one."""
     values, vectors = np.linalg.eig(A)
     motion = rows @ vectors
     forward = np.abs(motion[0] + 1j * motion[1]) >= np.abs(motion[0] - 1j * motion[1]) * (1 - 1e-6)

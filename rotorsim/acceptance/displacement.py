@@ -22,7 +22,7 @@ from rotorsim.signals.shaft_angle import shaft_angle
 from rotorsim.signals.turning import is_run_up
 
 DISPLACEMENT_ZONES = ((0.3, "A"), (0.4, "B"), (0.5, "C"))  # of the least radial clearance
-TITLE, CLAUSE, WHAT = "Displacement against the clearance", f"{ISO_2}, table 1", "D_max / C_min"
+DISPLACEMENT_TITLE, CLAUSE, WHAT = "Displacement against the clearance", f"{ISO_2}, table 1", "D_max / C_min"
 SPEEDS = 9  # of the operating range, at which the settled motion is computed
 IN_RANGE = 0.005  # of a speed: a machine that runs at its largest operating speed is within the range
 
@@ -48,10 +48,10 @@ def modelled_displacement(model: Model, given: Conditions) -> Part:
     places = [name for name in given.probes if name in given.clearance]
     if not places:
         said = "no clearance is given: --clearance" if given.probes else "no controller sees two axes of a displacement"
-        return not_judged(TITLE, CLAUSE, WHAT, said)
+        return not_judged(DISPLACEMENT_TITLE, CLAUSE, WHAT, said)
     if not np.isfinite(given.highest):
-        return not_judged(TITLE, CLAUSE, WHAT, "no operating speed is given: --operating")
-    return judged(TITLE, CLAUSE, WHAT, lambda: _settled(model, given, places))
+        return not_judged(DISPLACEMENT_TITLE, CLAUSE, WHAT, "no operating speed is given: --operating")
+    return judged(DISPLACEMENT_TITLE, CLAUSE, WHAT, lambda: _settled(model, given, places))
 
 
 def _settled(model: Model, given: Conditions, places: Sequence[str]) -> Part:
@@ -74,13 +74,16 @@ def _settled(model: Model, given: Conditions, places: Sequence[str]) -> Part:
         at = ", ".join(f"{speed * 30 / np.pi:.6g}" for speed in speeds[ill])
         said = f"no stable settled motion at {at} rpm"
         failed = Criterion(CLAUSE, WHAT, value=np.inf, limit=_limit(given), said=said)
-        return Part(TITLE, (failed,), tuple(notes))
+        return Part(DISPLACEMENT_TITLE, (failed,), tuple(notes))
     made = []
     for k, place in enumerate(places):
         worst = int(np.argmax(largest[:, k]))
         made.append(_criterion(given, largest[worst, k], place, speeds[worst], clearance[k], "modelled"))
     return Part(
-        TITLE, tuple(made), tuple(notes), (Displacement("modelled", speeds, tuple(places), largest, clearance),)
+        DISPLACEMENT_TITLE,
+        tuple(made),
+        tuple(notes),
+        (Displacement("modelled", speeds, tuple(places), largest, clearance),),
     )
 
 

@@ -14,8 +14,8 @@ from rotorsim.model.compiled import Model
 from rotorsim.recordings.injection import InjectionRecording
 from rotorsim.signals.injection.measured_margins import measured_margins
 
-TITLE, CLAUSE, WHAT = "Stability margins of the bearing loops", f"{ISO_3}, table 1", "peak of |S|"
-ALIKE = 1e-6  # relative difference of peaks at two speeds that are one
+MARGINS_TITLE, CLAUSE, WHAT = "Stability margins of the bearing loops", f"{ISO_3}, table 1", "peak of |S|"
+EQUAL_PEAKS = 1e-6  # relative difference of peaks at two speeds that are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class MarginsAt:
 
 def modelled_margins(model: Model, given: Conditions) -> Part:
     """Return the largest peak of |S| of every axis at standstill and at the ends of the operating speeds."""
-    return judged(TITLE, CLAUSE, WHAT, lambda: _modelled(model, given))
+    return judged(MARGINS_TITLE, CLAUSE, WHAT, lambda: _modelled(model, given))
 
 
 def _modelled(model: Model, given: Conditions) -> Part:
@@ -47,9 +47,9 @@ def _modelled(model: Model, given: Conditions) -> Part:
         for axis in result.axes:
             value = axis.peak if result.stable else np.inf
             said = f"zone {axis.zone}, at {axis.frequency:.4g} Hz" if result.stable else "the closed loop is unstable"
-            if axis.name not in worst or value > worst[axis.name].value * (1 + ALIKE):
+            if axis.name not in worst or value > worst[axis.name].value * (1 + EQUAL_PEAKS):
                 worst[axis.name] = Criterion(CLAUSE, WHAT, f"{axis.name}{at}", value, limit, said=said)
-    return Part(TITLE, tuple(worst.values()), tuple(notes), tuple(found))
+    return Part(MARGINS_TITLE, tuple(worst.values()), tuple(notes), tuple(found))
 
 
 def _limit(given: Conditions) -> float:

@@ -9,12 +9,12 @@ response is linear and the parts add up to U_a.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorsim.acceptance.conditions import Conditions
-from rotorsim.acceptance.criterion import API_684, MET, Criterion, Part, judged, not_judged
+from rotorsim.acceptance.criterion import API_684, MET, NOT_MET, Criterion, Part, judged, not_judged
 from rotorsim.acceptance.limits import ANALYSED, residual_unbalance, vibration_limit
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.free_rotor import free_rotor, mass_of
@@ -23,10 +23,10 @@ from rotorsim.linear.unbalance_response import UnbalanceResponse, plane_entries,
 from rotorsim.model.compiled import Model
 from rotorsim.signals.orders.resonance import RESPONSIVE, Margin, Peak, peak_in, separation_margin
 
-TITLE = "Response to unbalance"
+UNBALANCE_TITLE = "Response to unbalance"
 VIBRATION, SEPARATION, CLEARANCE = (f"{API_684}, SP6.8.2.{n}" for n in (8, 10, 12))
 LOWEST_SHARE, HIGHEST_SHARE = 0.02, 1.25  # of the trip speed, between which the response is computed
-POINTS = 121  # speeds over all
+SPEED_POINTS = 121  # speeds over all
 AROUND_A_POLE = np.linspace(-3, 3, 13)  # half widths: speeds at every pole, and again at every maximum found
 POLE_SPEEDS = 5  # at which the poles are looked at
 LARGEST_SCALE = 6.0  # S_cc at most
@@ -68,12 +68,14 @@ def unbalance_cases(model: Model, given: Conditions) -> Part:
     """Return the response of probes and running clearances to the unbalance of API 617, plane by plane."""
     what = "response to unbalance"
     if not np.isfinite(given.highest):
-        return not_judged(TITLE, VIBRATION, what, "no operating speed is given: --operating")
+        return not_judged(UNBALANCE_TITLE, VIBRATION, what, "no operating speed is given: --operating")
     if not given.planes:
-        return not_judged(TITLE, VIBRATION, what, "no plane of unbalance: --unbalance, such as rotor.force[4]")
+        return not_judged(
+            UNBALANCE_TITLE, VIBRATION, what, "no plane of unbalance: --unbalance, such as rotor.force[4]"
+        )
     if not given.probes:
-        return not_judged(TITLE, VIBRATION, what, "no controller sees two axes of a displacement")
-    return judged(TITLE, VIBRATION, what, lambda: _judged(_cases(model, given), given))
+        return not_judged(UNBALANCE_TITLE, VIBRATION, what, "no controller sees two axes of a displacement")
+    return judged(UNBALANCE_TITLE, VIBRATION, what, lambda: _judged(_cases(model, given), given))
 
 
 def _cases(model: Model, given: Conditions) -> UnbalanceCases:
@@ -120,12 +122,12 @@ def _sizes(response: UnbalanceResponse, amount: float) -> np.ndarray:
 
 def _speeds(model: Model, ends: tuple[float, float], given: Conditions) -> np.ndarray:
     """Return speeds between two, those of operation, and others dense at every pole."""
-    found = [np.linspace(*ends, POINTS), np.linspace(given.lowest, given.highest, 21), np.array([given.trip])]
+    found = [np.linspace(*ends, SPEED_POINTS), np.linspace(given.lowest, given.highest, 21), np.array([given.trip])]
     for speed in np.linspace(*ends, POLE_SPEEDS):
         poles = linear_system(model, (), (), {"speed": float(speed)})[0].poles()
         poles = poles[(poles.imag > 0) & (np.abs(poles.real) < poles.imag)]
         found.append((poles.imag[:, None] + np.abs(poles.real)[:, None] * AROUND_A_POLE).ravel())
-    speeds = np.unique(np.round(np.concatenate(found), 6))
+    speeds = np.unique(np.round(np.concatenate(found), 9))
     return np.asarray(speeds[(speeds >= ends[0] - 1e-6) & (speeds <= ends[1] + 1e-6)])
 
 
@@ -138,8 +140,14 @@ def _near_maxima(speeds: np.ndarray, size: np.ndarray, ends: tuple[float, float]
             low, high = (one if np.isfinite(one) else peak.speed for one in (peak.lower, peak.upper))
             found.append(np.linspace(max(low - (high - low) / 4, ends[0]), min(high + (high - low) / 4, ends[1]), 25))
             found.append(np.linspace(speeds[k - 1], speeds[k + 1], 9))
-    near = np.unique(np.round(np.concatenate(found), 6)) if found else np.zeros(0)
+    near = np.unique(np.round(np.concatenate(found), 9)) if found else np.zeros(0)
     return np.setdiff1d(near, speeds)
+
+
+def _vertex(speeds: np.ndarray, curve: np.ndarray, k: int) -> float:
+    """Return where the parabola through a maximum and its neighbours is largest."""
+    a, b, _ = np.polyfit(speeds[k - 1 : k + 2] - speeds[k], curve[k - 1 : k + 2] / curve[k], 2)
+    return float(speeds[k] - b / (2 * a)) if a < 0 else float(speeds[k])
 
 
 def _maxima(curve: np.ndarray) -> list[int]:
@@ -150,7 +158,8 @@ def _merged(one: UnbalanceResponse, other: UnbalanceResponse) -> UnbalanceRespon
     speeds = np.concatenate([one.speeds, other.speeds])
     order = np.argsort(speeds)
     response = np.concatenate([one.response, other.response])[order]
-    return UnbalanceResponse(speeds[order], one.planes, one.signals, response, one.notes, one.provenance)
+    stable = np.concatenate([one.stable, other.stable])[order]
+    return replace(one, speeds=speeds[order], response=response, stable=stable)
 
 
 def _critical(response: UnbalanceResponse, size: np.ndarray, given: Conditions) -> Iterator[CriticalSpeedOfPlane]:
@@ -159,7 +168,8 @@ def _critical(response: UnbalanceResponse, size: np.ndarray, given: Conditions) 
         found = []
         for i, probe in enumerate(response.signals[: size.shape[1]]):
             for k in _maxima(size[:, i, j]):
-                peak = peak_in(response.speeds, size[:, i, j], k)
+                read = peak_in(response.speeds, size[:, i, j], k)
+                peak = replace(read, speed=_vertex(response.speeds, size[:, i, j], k))
                 if np.isfinite(peak.amplification):
                     margin = separation_margin(peak.speed, peak.amplification, given.lowest, given.highest)
                     found.append(CriticalSpeedOfPlane(plane, probe, peak, margin))
@@ -171,8 +181,14 @@ def _critical(response: UnbalanceResponse, size: np.ndarray, given: Conditions) 
 
 
 def _judged(found: UnbalanceCases, given: Conditions) -> Part:
-    made: list[Criterion] = []
     speeds, count = found.response.speeds * 30 / np.pi, found.probes
+    words = f"U_a = {found.unbalance * 1e6:.4g} g mm: twice 6350 W / N, rotor of {found.mass:.4g} kg"
+    ill = speeds[~found.response.stable & (found.response.speeds <= given.trip * (1 + 1e-9))]
+    if len(ill):
+        said = f"no settled response: unstable from {ill[0]:.5g} to {ill[-1]:.5g} rpm"
+        failed = Criterion(VIBRATION, "response to unbalance", stated=NOT_MET, said=said)
+        return Part(UNBALANCE_TITLE, (failed,), (words, *found.response.notes))
+    made: list[Criterion] = []
     inside = (found.response.speeds >= given.lowest * (1 - 1e-9)) & (
         found.response.speeds <= given.highest * (1 + 1e-9)
     )
@@ -193,8 +209,7 @@ def _judged(found: UnbalanceCases, given: Conditions) -> Part:
         limit = CLEARANCE_SHARE * 2 * found.clearance[i] * 1e6
         largest, what = float(curves[n, j]) * 1e6, "S_cc A, peak to peak"
         made.append(Criterion(CLEARANCE, what, where, largest, limit, "um", said="0 to trip speed"))
-    words = f"U_a = {found.unbalance * 1e6:.4g} g mm: twice 6350 W / N, rotor of {found.mass:.4g} kg"
-    return Part(TITLE, tuple(made), (words, *found.response.notes), (found,))
+    return Part(UNBALANCE_TITLE, tuple(made), (words, *found.response.notes), (found,))
 
 
 def _separations(found: UnbalanceCases) -> Iterator[Criterion]:

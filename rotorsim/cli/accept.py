@@ -10,11 +10,13 @@ import click
 from rotorsim.cli.shared import (
     Chosen,
     check_folder,
+    gathered,
     given_options,
     is_recording,
     json_option,
     note,
     quantity,
+    refuse_all,
     refuse_if,
     show,
     show_problems,
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
     from rotorsim.recordings.orders import OrderRecording
     from rotorsim.recordings.recording import Recording
 
-ZONES = ("A", "B")  # of rotorsim.acceptance.conditions
+ACCEPTED_ZONES = ("A", "B")  # of rotorsim.acceptance.conditions
 INJECTION, ORDERS = "injection", "orders"  # kinds of recording.json
 
 
@@ -51,7 +53,9 @@ INJECTION, ORDERS = "injection", "orders"  # kinds of recording.json
     help="Where unbalance may be, such as rotor.force[4] (default: where blocks 'unbalance' act); repeatable.",
 )
 @click.option("--mass", metavar="MASS", help="Mass of the rotor (default: from its equations).")
-@click.option("--zone", type=click.Choice(ZONES), default="A", show_default=True, help="Worst zone of ISO 14839.")
+@click.option(
+    "--zone", type=click.Choice(ACCEPTED_ZONES), default="A", show_default=True, help="Worst zone of ISO 14839."
+)
 @click.option(
     "--cross-coupling",
     "couplings",
@@ -85,18 +89,20 @@ def command(
     rotorsim accept jeffcott sweep runup --operating "2000 rpm:3000 rpm" --clearance "0.2 mm"
     """
     check_folder("--out", out)
-    given: dict[str, Any] = {
-        "operating": None if operating is None else span_of(operating, "--operating"),
-        "trip": None if trip is None else quantity(trip, "rad/s", "--trip"),
-        "clearance": _by_place(clearances, "m", "--clearance", "0.2 mm", "rotor.displacement[4]", bare=True),
-        "mass": None if mass is None else quantity(mass, "kg", "--mass"),
-        "cross_coupling": _by_place(couplings, "N/m", "--cross-coupling", "1e6 N/m", "rotor.force[4]", bare=False),
-    }
+    given = gathered(
+        operating=lambda: None if operating is None else span_of(operating, "--operating"),
+        trip=lambda: None if trip is None else quantity(trip, "rad/s", "--trip"),
+        clearance=lambda: _by_place(clearances, "m", "--clearance", "0.2 mm", "rotor.displacement[4]", bare=True),
+        mass=lambda: None if mass is None else quantity(mass, "kg", "--mass"),
+        cross_coupling=lambda: _by_place(couplings, "N/m", "--cross-coupling", "1e6 N/m", "rotor.force[4]", bare=False),
+    )
     names = [chosen.name, *recordings]
     alone = is_recording(chosen.name)
     if alone:
         chosen.refuse_changes("a recording")
         refuse_if(planes or mass or couplings, "--unbalance, --mass and --cross-coupling need a diagram", chosen.name)
+    hint = "DIAGRAM is given once, before the recordings; `rotorsim check` says what is wrong with a recording"
+    refuse_all([Problem("not a recording", name, hint=hint) for name in recordings if not is_recording(name)])
     measured = [_measured(name) for name in (names if alone else recordings)]
     from rotorsim.acceptance.acceptance import accept
     from rotorsim.report.text.acceptance import acceptance_data, acceptance_text
@@ -123,7 +129,7 @@ def _by_place(
     form = "[SIGNAL=]LENGTH" if bare else "PLANE=STIFFNESS"
     for text in texts:
         name, equals, amount = (part.strip() for part in text.rpartition("="))
-        if bool(equals) != bool(name) or not (name or bare):
+        if not amount or bool(equals) != bool(name) or not (name or bare):
             problems.append(Problem(f"{option} {text}: not {form}", hint=hint))
         elif name in found:
             problems.append(Problem(f"{option} {text}: {name or 'all places'} twice", hint="give each place once"))

@@ -13,16 +13,17 @@ from scipy.optimize import brentq
 from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.free_rotor import FreeRotor, free_rotor
+from rotorsim.linear.free_rotor import FreeRotor, free_rotor, real_basis
 from rotorsim.linear.linearisation import as_model, entry_names, linearise, provenance
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
 
 DEFAULT_STIFFNESS = np.geomspace(1e4, 1e10, 73)  # N/m, 12 a decade: from a soft magnetic bearing to a rigid pedestal
-MOST_DOF = 120  # in both planes, beyond which the modes of the softest and of the stiffest supports span the motion
-SPANNING = 60  # modes of each
+MOST_DOF = 60  # in both planes, beyond which the modes of the softest and of the stiffest supports span the motion
+SPANNING = 24  # modes of each
+LEAST_SPEED = 0.1  # rad/s, about 1 rpm: below, a body that nothing holds is free but for rounding
 REAL_ROOT = 1e-6  # of |W^2|: imaginary part below which a root is a speed
-ONE_SPEED = 1e-7  # relative distance of equal critical speeds: of two planes at once, which no gyroscopic moment tells
+EQUAL_SPEEDS = 1e-5  # relative distance of equal critical speeds: of two planes that no gyroscopic moment tells apart
 GRID = np.geomspace(0.1, 1e4, 501)  # Hz, at which the stiffness of a bearing is shown
 
 
@@ -73,7 +74,7 @@ def critical_speed_map(
     if not (len(values) and np.isfinite(values).all() and (values > 0).all() and (np.diff(values) > 0).all()):
         raise RotorsimError(Problem("stiffnesses must be positive and ascending [N/m]", "stiffness"))
     rotor = free_rotor(diagram, parameters=parameters)
-    springs = rotor.supported(1.0) - rotor.S
+    springs = rotor.springs
     stiff, turning, left, right = rotor.S, np.eye(len(rotor.S)) + 1j * rotor.G, None, None
     if len(stiff) > MOST_DOF:
         left, right = _spanning(rotor, values[[0, -1]])
@@ -85,7 +86,9 @@ def critical_speed_map(
 
     found = [forward(k) for k in values]
     most = max(map(len, found))
-    speeds = np.array([np.pad(one, (0, most - len(one)), constant_values=np.nan) for one in found]).reshape(-1, most)
+    speeds = np.full((len(values), most), np.nan)
+    for row, one in zip(speeds, found, strict=True):
+        row[: len(one)] = one
     own, notes = bearing_stiffness(diagram, rotor, parameters)
     return CriticalSpeedMap(
         stiffness=values,
@@ -124,15 +127,15 @@ def _crossings(
 
 def _forward(stiff: np.ndarray, turning: np.ndarray, pairs: np.ndarray, highest: float) -> np.ndarray:
     """Return the critical speeds of forward whirl, ascending; of two that are equal, one in each plane, one."""
-    squared, vectors = eig(stiff, turning)
-    real = (squared.real > 0) & (np.abs(squared.imag) <= REAL_ROOT * np.abs(squared))
+    squared, vectors = np.linalg.eig(np.linalg.solve(turning, stiff))  # which is balanced, as a pair is not
+    real = (squared.real > LEAST_SPEED**2) & (np.abs(squared.imag) <= REAL_ROOT * np.abs(squared))
     order = np.flatnonzero(real)[np.argsort(squared.real[real])]
     speeds, motion = np.sqrt(squared.real[order]), pairs @ vectors[:, order]
     kept: list[float] = []
     j = 0
     while j < len(speeds):
         same = [j]
-        while same[-1] + 1 < len(speeds) and speeds[same[-1] + 1] - speeds[j] <= ONE_SPEED * speeds[j]:
+        while same[-1] + 1 < len(speeds) and speeds[same[-1] + 1] - speeds[j] <= EQUAL_SPEEDS * speeds[j]:
             same.append(same[-1] + 1)
         shape = motion[:, same]
         forward, backward = (np.linalg.norm(shape[0::2] + sign * shape[1::2]) for sign in (1j, -1j))
@@ -149,10 +152,10 @@ def _spanning(rotor: FreeRotor, ends: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """
     sides: list[list[np.ndarray]] = [[], []]
     for k in ends:
-        values, left, right = eig(rotor.supported(float(k)), left=True)
+        values, left, right = eig(rotor.S + k * rotor.springs, left=True)
         lowest = np.argsort(np.abs(values))[:SPANNING]
-        sides[0].append(left[:, lowest].real)
-        sides[1].append(right[:, lowest].real)
+        sides[0].append(real_basis(left[:, lowest]))
+        sides[1].append(real_basis(right[:, lowest]))
     left, right = (np.column_stack(side) for side in sides)
     independent = np.linalg.svd(left.T @ right)
     keep = independent[1] > 1e-10 * independent[1][0]
@@ -183,7 +186,7 @@ def bearing_stiffness(
     along_x = np.array([name.endswith(("[1]", ",1]")) for name in system.inputs])
 
     def of(row: int) -> Stiffness:
-        one = StateSpace(system.A, system.B, system.C[[row]], system.D[[row]])
+        one = StateSpace(system.A, system.B, system.C[[row]], system.D[[row]]).connected()
 
         def stiffness(hz: np.ndarray) -> np.ndarray:
             moving = np.where(rates, 2j * np.pi * hz[:, None], 1.0) * along_x

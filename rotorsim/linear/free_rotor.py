@@ -75,13 +75,14 @@ class FreeRotor:
         """Return the column of B of one entry of a force."""
         return np.asarray(self.B[:, self.forces.index(force)])
 
-    def supported(self, stiffness: float) -> np.ndarray:
-        """Return S with every bearing a spring k in both axes: f = -k u, shape (n, n)."""
-        S = self.S.copy()
+    @property
+    def springs(self) -> np.ndarray:
+        """Return what a spring of 1 N/m at every bearing, in both axes, adds to S, shape (n, n): f = -u."""
+        added = np.zeros_like(self.S)
         for bearing in self.bearings:
             forces = [self.column(name) for name in entry_names(bearing.force, (2,))]
-            S += stiffness * np.column_stack(forces) @ self.rows(bearing.seen)
-        return S
+            added += np.column_stack(forces) @ self.rows(bearing.seen)
+        return added
 
     def modes(self) -> list[RotorMode]:
         """Return the modes in the plane of x at rest, ascending, rigid ones first."""
@@ -97,13 +98,13 @@ class FreeRotor:
         made = []
         for k, group in enumerate(groups):
             if len(group):
-                V, W = _real_basis(right[:, group]), _real_basis(left[:, group])
+                V, W = real_basis(right[:, group]), real_basis(left[:, group])
                 frequency = 0.0 if k == 0 else float(np.sqrt(max(values[group].mean(), 0.0)))
                 made.append(RotorMode(frequency, V, np.linalg.solve(W.T @ V, W.T), k == 0))
         return made
 
 
-def _real_basis(vectors: np.ndarray) -> np.ndarray:
+def real_basis(vectors: np.ndarray) -> np.ndarray:
     """Return as many real vectors that span the same: equal eigenvalues may come as a complex pair by rounding."""
     both = np.column_stack([vectors.real, vectors.imag])
     return np.asarray(np.linalg.svd(both / np.abs(both).max(), full_matrices=False)[0][:, : vectors.shape[1]])

@@ -21,9 +21,8 @@ from rotorsim.linear.linearisation import (
     provenance,
     units_of,
 )
-from rotorsim.linear.loop import RATE, SENSOR, linear_system, undisturbed_rates
+from rotorsim.linear.loop import RATE, SENSOR, growing_poles, linear_system, undisturbed_rates
 from rotorsim.linear.sampled_data import SampledData
-from rotorsim.linear.stability import growing, growing_multipliers
 from rotorsim.linear.state_space import StateSpace, frequencies_near
 from rotorsim.model.compiled import Model
 
@@ -120,16 +119,13 @@ def frequency_response(
     given = model.trace.external[input]
     above, below = units_of(model, (output,)), given_units(model, given)
     outputs, inputs = flat_names(model, output), entry_names(given.name, given.shape)
-    is_stable = (
-        not len(growing_multipliers(system.monodromy)) if isinstance(system, SampledData) else not growing(system.A)
-    )
     found = FrequencyResponse(
         frequencies=hz,
         value=system.response(hz),
         outputs=tuple(outputs),
         inputs=tuple(inputs),
         units=tuple(tuple(_ratio(y, u) for u in below) for y in above),
-        stable=is_stable,
+        stable=not len(growing_poles(system)),
         notes=notes,
         provenance=provenance(model, parameters, "frequency_response"),
     )

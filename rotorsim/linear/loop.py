@@ -174,15 +174,15 @@ class Loop:
 
     @cached_property
     def _stable(self) -> bool:
-        return not len(_growing(self.system))
+        return not len(growing_poles(self.system))
 
     def is_stable(self, gain: float = 1.0, axis: int = 0) -> bool:
         """Return whether the closed loop is stable, with the signal of an axis amplified."""
-        return self._stable if gain == 1.0 else not len(_growing(self._amplified(gain, axis)))
+        return self._stable if gain == 1.0 else not len(growing_poles(self._amplified(gain, axis)))
 
     def growing_frequency(self, gain: float, axis: int) -> float:
         """Return the frequency [Hz] of what grows with the signal of an axis amplified; with samples modulo 1/T."""
-        return float(abs(_growing(self._amplified(gain, axis))[0].imag) / (2 * np.pi))
+        return float(abs(growing_poles(self._amplified(gain, axis))[0].imag) / (2 * np.pi))
 
     def notes(self, highest: float) -> tuple[str, ...]:
         """Return what a reader must know of a loop that is looked at up to a frequency [Hz]."""
@@ -193,7 +193,7 @@ class Loop:
         )
 
 
-def _growing(system: StateSpace | SampledData) -> np.ndarray:
+def growing_poles(system: StateSpace | SampledData) -> np.ndarray:
     """Return the poles [1/s] that grow, fastest first."""
     if isinstance(system, SampledData):
         return np.asarray(np.log(growing_multipliers(system.monodromy).astype(complex)) / system.period)

@@ -23,6 +23,8 @@ from scipy.linalg import expm
 from rotorsim.linear.linear_model import LinearModel
 from rotorsim.linear.state_space import StateSpace, solved
 
+AT_A_POLE = 1e-7  # of |s|: a resolvent of a relative distance d is off by 1e-14 / d
+CIRCLE, ON_CIRCLE = 1e-6, np.arange(8) / 8  # radius, of |s|, and turns of places on the circle
 MOST_HITS = 10_000  # of a common period: so many matrices are multiplied for each frequency
 
 
@@ -80,8 +82,24 @@ class SampledData:
         return replace(self, flow=self.flow.amplified(gain, wires), jumps=jumps)
 
     def response(self, frequencies: Any) -> np.ndarray:
-        """Return the component of y at f for inputs exp(i 2 pi f t), f [Hz] not 0, shape (len(f), k, m)."""
+        """Return the component of y at f for inputs exp(i 2 pi f t), f [Hz] not 0, shape (len(f), k, m).
+
+        It is analytic at an undamped pole between hits, where (i w - A)^-1 is not: there it is the mean over a circle.
+        """
         s = 2j * np.pi * np.atleast_1d(np.asarray(frequencies, float))
+        poles = np.linalg.eigvals(self.flow.A)
+        distance = np.abs(s[:, None] - poles).min(axis=1, initial=np.inf)
+        at_a_pole = distance < AT_A_POLE * np.abs(s)
+        found = np.empty((len(s), len(self.flow.C), self.flow.B.shape[1]), complex)
+        if (~at_a_pole).any():
+            found[~at_a_pole] = self._in_parts(s[~at_a_pole])
+        if at_a_pole.any():
+            around = s[at_a_pole, None] + CIRCLE * np.abs(s[at_a_pole, None]) * np.exp(2j * np.pi * ON_CIRCLE)
+            values = self._in_parts(around.ravel()).reshape(len(around), len(ON_CIRCLE), *found.shape[1:])
+            found[at_a_pole] = values.mean(axis=1)
+        return found
+
+    def _in_parts(self, s: np.ndarray) -> np.ndarray:
         chunks = np.array_split(s, 1 + len(s) * len(self.flow.A) ** 2 // 2_000_000)
         return np.concatenate([self._response(part) for part in chunks])
 

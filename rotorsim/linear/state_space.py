@@ -25,6 +25,12 @@ class StateSpace:
         """Return the eigenvalues of A [1/s], shape (n,)."""
         return np.asarray(np.linalg.eigvals(self.A))
 
+    def connected(self) -> StateSpace:
+        """Return it without the states that no input drives, or that no output sees."""
+        pattern = self.A != 0
+        kept = reached(pattern, (self.B != 0).any(axis=1)) & reached(pattern.T, (self.C != 0).any(axis=0))
+        return StateSpace(self.A[np.ix_(kept, kept)], self.B[kept], self.C[:, kept], self.D)
+
     def amplified(self, gain: float, wires: Sequence[int]) -> StateSpace:
         """Return it with u_k = (gain - 1) y_k of some wires k, without inputs: what arrives there is amplified."""
         return StateSpace(self.A + self.B @ self.amplification(gain, wires), self.B[:, :0], self.C, self.D[:, :0])

@@ -12,7 +12,7 @@ from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.linear.eigenmodes import checked_speeds, require_speed
 from rotorsim.linear.linearisation import as_model, entry_names, flat_names, provenance
-from rotorsim.linear.loop import linear_system
+from rotorsim.linear.loop import growing_poles, linear_system
 from rotorsim.model.compiled import Model
 
 FORWARD = np.array([1.0, -1j])  # x = cos, y = sin of the shaft angle
@@ -22,13 +22,15 @@ FORWARD = np.array([1.0, -1j])  # x = cos, y = sin of the shaft angle
 class UnbalanceResponse:
     """Complex amplitudes to unbalances of 1 kg m at phase zero, one plane after the other; x(t) = Re(X exp(i W t)).
 
-    speeds (n,) [rad/s]; planes: entries of rotor forces; signals: pairs (x, y); response (n, signals, planes, 2) [m].
+    speeds (n,) [rad/s]; planes: entries of rotor forces; signals: pairs (x, y); response (n, signals, planes, 2) [m];
+    stable (n,): whether the machine settles to it.
     """
 
     speeds: np.ndarray
     planes: tuple[str, ...]
     signals: tuple[str, ...]
     response: np.ndarray
+    stable: np.ndarray
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -67,16 +69,19 @@ def unbalance_response(
     known = [name for port in ports for name in entry_names(port, drawn_port(drawn, port).shape)]
     columns = [known.index(entry) for _, entries in pairs for entry in entries]
     made: list[np.ndarray] = []
+    stable: list[bool] = []
     notes: tuple[str, ...] = ()
     for speed in values:
         system, notes = linear_system(model, ports, names, {**(parameters or {}), "speed": float(speed)})
         G = system.response(speed / (2 * np.pi))[0][:, columns].reshape(len(signals), 2, len(planes), 2)
         made.append(np.einsum("sapb,b->spa", G, FORWARD) * speed**2)
+        stable.append(not len(growing_poles(system)))
     return UnbalanceResponse(
         speeds=values,
         planes=tuple(planes),
         signals=tuple(signals),
         response=np.array(made),
+        stable=np.array(stable),
         notes=notes,
         provenance=provenance(model, parameters, "unbalance_response"),
     )

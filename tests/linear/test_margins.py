@@ -10,11 +10,13 @@ from scipy.optimize import brentq
 
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.linear_model import LinearModel
+from rotorsim.linear.loop import Loop, injections
 from rotorsim.linear.margins import margins, zone_of
 from rotorsim.linear.sampled_data import SampledData, common_period
 from rotorsim.linear.stability import growing_multipliers
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.load import load
+from tests.acceptance.machines import jeffcott
 
 
 def loop(hz, kp=12200.0, ki=2000.0, kd=3.0):
@@ -223,3 +225,35 @@ def test_a_rate_that_passes_by_the_test_signal_is_said():
 )
 def test_zones(peak, zone):
     assert zone_of(peak) == zone
+
+
+def test_a_sampled_loop_around_an_undamped_plant() -> None:
+    """Between hits the plant rings at a pole on the imaginary axis, where S is zero and a resolvent has no value.
+
+    Discrete PD on m q'' + k q = f: held, with c = KP q + KD q', S(e^{iwT}) by the z-transform of the plant at the hits
+    gives the peak; test signals also alias, by the ratio of the frequencies, which are 400 to 1.
+    """
+    pid = {"type": "discrete_pid", "parameters": {"KP": 12500.0, "KI": 0.0, "KD": 3.75, "sample_time": "0.02 ms"}}
+    drawn = load(jeffcott(4e5, 150.0, pid))
+    opened = Loop(drawn, injections(drawn, ["controller.displacement"]))
+    found = margins(drawn)
+    undamped = np.sqrt(9e5 / 2.0) / (2 * np.pi)
+    near = np.abs(opened.sensitivity(undamped * (1 + np.array([-1e-4, 0.0, 1e-13, 1e-4])))[:, 0, 0])
+    assert near[1] < 1e-7
+    assert near[2] < 1e-7
+    assert near[[0, 3]] == pytest.approx([3.53e-4, 3.53e-4], rel=1e-2)
+    hz = np.linspace(130.0, 139.0, 2001)
+    assert found.peak == pytest.approx(np.abs(opened.sensitivity(hz)[:, 0, 0]).max(), rel=1e-4)
+    assert found.peak == pytest.approx(_by_z(hz).max(), rel=5e-3)
+
+
+def _by_z(hz: np.ndarray) -> np.ndarray:
+    """Return |S| of the held loop from the plant at the hits, one hit late: without images."""
+    T, m, k, ki = 2e-5, 2.0, 9e5, 40.0
+    w = np.sqrt(k / m)
+    A = np.array([[np.cos(w * T), np.sin(w * T) / w], [-w * np.sin(w * T), np.cos(w * T)]])
+    B = np.array([(1 - np.cos(w * T)) / k, np.sin(w * T) * w / k]) * ki
+    z = np.exp(2j * np.pi * hz * T)
+    states = np.array([np.linalg.solve(value * np.eye(2) - A, B) for value in z])
+    law = np.array([12500.0, 3.75])
+    return np.abs(1 / (1 + (states @ law) / z))

@@ -61,7 +61,7 @@ from rotorsim.cli.shared.output import (
     show_problems,
     warn,
 )
-from rotorsim.cli.shared.refusals import refuse_all, refuse_if
+from rotorsim.cli.shared.refusals import gathered, refuse_all, refuse_if
 
 __all__ = [
     "RECORDING",
@@ -78,6 +78,7 @@ __all__ = [
     "file_option",
     "fmi_option",
     "gains_of",
+    "gathered",
     "given_options",
     "hertz",
     "hold_out_option",

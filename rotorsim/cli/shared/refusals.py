@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rotorsim.errors import Problem, RotorsimError
@@ -18,3 +18,16 @@ def refuse_all(problems: Sequence[Problem], exit_code: int = 2) -> None:
     """Raise RotorsimError with problems, if there are any."""
     if problems:
         raise RotorsimError(*problems, exit_code=exit_code)
+
+
+def gathered(**readers: Callable[[], Any]) -> dict[str, Any]:
+    """Return what every reader returns, by name. Raises RotorsimError with the mistakes of all of them."""
+    found, problems = {}, []
+    for name, read in readers.items():
+        try:
+            found[name] = read()
+        except RotorsimError as error:
+            problems += error.problems
+    if problems:
+        raise RotorsimError(*problems)
+    return found

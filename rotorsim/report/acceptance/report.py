@@ -14,10 +14,10 @@ from rotorsim.files import write_atomically
 from rotorsim.report.acceptance.figures import Shown, figures_of
 from rotorsim.report.page import Page, paragraph, table
 from rotorsim.report.provenance import document_hash, own_command, provenance_table, recording_rows
-from rotorsim.report.text.acceptance import COLUMNS, acceptance_data, cells, conditions_text
+from rotorsim.report.text.acceptance import CRITERION_COLUMNS, acceptance_data, cells, conditions_text
 
 REPORT, DATA = "report.html", "acceptance.json"
-COLOURS = {MET: "#0b6b4f", NOT_MET: "#b33c00"}
+VERDICT_COLOURS = {MET: "#0b6b4f", NOT_MET: "#b33c00"}
 OTHER_COLOUR = "#7a5c00"
 ADVICE = "Verdicts in brackets are advice: the verdict of the machine does not rest on them."
 
@@ -47,7 +47,7 @@ def save_acceptance(
 
 
 def _head(result: Acceptance, title: str) -> str:
-    colour = COLOURS.get(result.verdict, OTHER_COLOUR)
+    colour = VERDICT_COLOURS.get(result.verdict, OTHER_COLOUR)
     given = result.conditions
     judged = [*([f"diagram {result.diagram.name}"] if result.diagram else []), *result.recordings]
     wrong = [(part.title, one) for part in result.parts for one in part.criteria if one.required and one.verdict != MET]
@@ -72,7 +72,7 @@ def _part(result: Acceptance, part: Part, number: int, page: Page) -> Iterator[s
     """Yield the section of a part: its criteria, its figures, its tables, and its notes."""
     yield f"<h2>{number} {escape(part.title)}</h2>"
     if part.criteria:
-        yield table(COLUMNS, [cells(one) for one in part.criteria], right=(3, 4))
+        yield table(CRITERION_COLUMNS, [cells(one) for one in part.criteria], right=(3, 4))
     for one in part.results:
         for drawn in figures_of(one, Shown(result, part)):
             yield page.figure(drawn._replace(name=f"{number}_{drawn.name}"))

@@ -11,7 +11,7 @@ from rotorsim.acceptance.conditions import Conditions
 from rotorsim.acceptance.criterion import Criterion
 from rotorsim.report.text.table import rpm, table
 
-COLUMNS = ("verdict", "quantity", "where", "value", "limit", "", "clause")
+CRITERION_COLUMNS = ("verdict", "quantity", "where", "value", "limit", "", "clause")
 LEFT = (0, 1, 2, 5, 6)
 
 
@@ -21,7 +21,7 @@ def acceptance_text(result: Acceptance) -> str:
     for part in result.parts:
         lines = [part.title]
         if part.criteria:
-            lines.append(table(COLUMNS, [cells(one) for one in part.criteria], left=LEFT))
+            lines.append(table(CRITERION_COLUMNS, [cells(one) for one in part.criteria], left=LEFT))
         parts.append("\n".join([*lines, *(f"note: {note}" for note in part.notes)]))
     return "\n\n".join([*parts, verdict_text(result)])
 
@@ -43,7 +43,7 @@ def conditions_text(given: Conditions) -> str:
 
 
 def cells(one: Criterion) -> tuple[str, ...]:
-    """Return the cells of a criterion under `COLUMNS`."""
+    """Return the cells of a criterion under `CRITERION_COLUMNS`."""
     verdict = one.verdict if one.required else f"({one.verdict})"
     what = f"{one.what}, measured" if one.source == "measured" else one.what
     return verdict, what, one.where, value_text(one), limit_text(one), one.said, one.clause

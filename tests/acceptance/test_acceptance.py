@@ -1,0 +1,284 @@
+"""Criteria of acceptance against closed forms: each number by hand, each verdict at its limit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rotorsim import Recording, RotorsimError, accept, load, load_recording
+from rotorsim.acceptance.acceptance import Acceptance
+from rotorsim.acceptance.criterion import Criterion
+from rotorsim.acceptance.displacement import displacement_zone
+from rotorsim.acceptance.limits import residual_unbalance, vibration_limit
+from rotorsim.acceptance.unbalance import rotor_mass
+from rotorsim.model.compiled import compile_diagram
+from tests.acceptance.machines import jeffcott, stepped, stiff_rotor
+
+RPM = np.pi / 30
+
+
+def of(found: Acceptance, what: str, where: str = "") -> list[Criterion]:
+    """Return the criteria of a quantity at a place."""
+    return [one for one in found.criteria if one.what == what and where in one.where]
+
+
+# -- limits ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_vibration_limit_is_25_um_up_to_12000_rpm_and_falls_with_the_root_of_the_speed() -> None:
+    """API 617: A_vl = 25.4 (12000 / N)^0.5 um, peak to peak, at most 25.4."""
+    assert vibration_limit(3000 * RPM) == 25.4e-6
+    assert vibration_limit(12000 * RPM) == pytest.approx(25.4e-6, rel=1e-12)
+    assert vibration_limit(48000 * RPM) == pytest.approx(12.7e-6, rel=1e-12)
+
+
+def test_the_residual_unbalance_is_6350_g_mm_of_a_kilogram_at_one_rpm() -> None:
+    """4 W / N oz in of pounds: 4 lb oz in rpm = 4 * 28.3495 g * 25.4 mm / 0.453592 kg = 6350 g mm / kg."""
+    assert residual_unbalance(500.0, 10000 * RPM) == pytest.approx(317.5e-6, rel=1e-12)
+    assert pytest.approx(6350, rel=1e-4) == 4 * 28.3495 * 25.4 / 0.453592
+
+
+@pytest.mark.parametrize(
+    ("share", "zone"), [(0.3, "A"), (0.301, "B"), (0.4, "B"), (0.41, "C"), (0.5, "C"), (0.51, "D")]
+)
+def test_displacement_zones_end_at_three_four_and_five_tenths_of_the_clearance(share: float, zone: str) -> None:
+    assert displacement_zone(share) == zone
+
+
+@pytest.mark.parametrize(
+    ("interval", "at_most", "verdict"),
+    [
+        (None, True, "met"),
+        ((0.8, 1.1), True, "unsure"),
+        ((1.1, 1.3), True, "not met"),
+        ((1.1, 1.3), False, "met"),
+        ((0.8, 1.1), False, "unsure"),
+    ],
+)
+def test_a_verdict_is_unsure_where_the_limit_lies_within_the_interval(interval, at_most: bool, verdict: str) -> None:
+    assert Criterion("", "", "", 0.9, 1.0, at_most=at_most, interval90=interval).verdict == verdict
+
+
+# -- a disc in a bearing, in closed form -------------------------------------------------------------------------------
+
+M, K, D = 2.0, 1.4e6, 150.0  # of `jeffcott(4e5, 150.0)`: shaft and bearing
+W0 = np.sqrt(K / M)
+
+
+def response(speed, unbalance):
+    return unbalance * speed**2 / np.abs(K - M * speed**2 + 1j * D * speed)
+
+
+@pytest.fixture(scope="module")
+def disc() -> Acceptance:
+    return accept(load(jeffcott(4e5, 150.0)), operating=(300.0, 500.0), trip=1200.0, clearance=0.2e-3)
+
+
+def test_displacement_is_that_of_the_diagram_as_it_stands(disc: Acceptance) -> None:
+    found = of(disc, "D_max / C_min")
+    assert [one.value for one in found] == pytest.approx([response(500.0, 2e-5) / 0.2e-3], rel=1e-6)
+    assert (found[0].limit, found[0].verdict) == (0.3, "met")
+    assert found[0].where == "rotor.displacement at 4774.6 rpm"
+
+
+def test_the_unbalance_response_critical_speed_and_separation_margin(disc: Acceptance) -> None:
+    amount = 2 * 6350e-6 * M / (500.0 / RPM)
+    largest = of(disc, "A_max, peak to peak")[0]
+    assert largest.value == pytest.approx(2e6 * response(500.0, amount), rel=1e-9)
+    assert (largest.limit, largest.said) == (pytest.approx(25.4), "S_cc 6")
+    margin = of(disc, "separation margin")[0]
+    z = D / (2 * np.sqrt(K * M))
+    peak = W0 / np.sqrt(1 - 2 * z**2)
+    assert margin.value == pytest.approx(100 * (peak - 500) / 500, rel=1e-5)
+    amplification = float(margin.where.split("AF ")[1].split(",")[0])
+    assert amplification == pytest.approx(1 / (2 * z), rel=0.02)
+    assert margin.limit == pytest.approx(10 + 17 * (1 - 1 / (amplification - 1.5)), rel=0.01)
+    assert margin.verdict == "met"
+
+
+def test_the_running_clearance_is_judged_up_to_the_trip_speed(disc: Acceptance) -> None:
+    amount = 2 * 6350e-6 * M / (500.0 / RPM)
+    found = of(disc, "S_cc A, peak to peak")[0]
+    z = D / (2 * np.sqrt(K * M))
+    assert found.value == pytest.approx(6 * 2e6 * response(W0 / np.sqrt(1 - 2 * z**2), amount), rel=1e-4)
+    assert found.limit == pytest.approx(0.75 * 2 * 200.0)
+
+
+def test_the_log_decrement(disc: Acceptance) -> None:
+    z = D / (2 * np.sqrt(K * M))
+    found = of(disc, "log decrement")[0]
+    assert found.value == pytest.approx(2 * np.pi * z / np.sqrt(1 - z**2), rel=1e-9)
+    assert (found.limit, found.at_most, found.verdict) == (0.1, False, "met")
+
+
+def test_cross_coupling_is_stable_up_to_the_damping_times_the_natural_frequency() -> None:
+    """m q'' + d q' + (k - i Q) q = 0 of q = x + i y is at its limit where Q = d w, w^2 = k / m."""
+    found = accept(load(jeffcott(4e5, 150.0)), operating=(300.0, 500.0), cross_coupling={"rotor.force": 5e4})
+    ratio = of(found, "Q_0 / Q_A")[0]
+    assert ratio.value == pytest.approx(D * W0 / 5e4, rel=1e-5)
+    roots = np.roots([M, D, K - 5e4j])  # both of x + i y: the one with a positive imaginary part whirls forward
+    pole = roots[roots.imag > 0][0]
+    assert of(found, "log decrement", "Q = ")[0].value == pytest.approx(-2 * np.pi * pole.real / pole.imag, rel=1e-9)
+    assert (ratio.limit, ratio.verdict) == (2.0, "met")
+
+
+def test_peaks_of_the_sensitivity_are_those_of_margins(disc: Acceptance) -> None:
+    found = of(disc, "peak of |S|")
+    hz = np.geomspace(1, 2000, 200_001)
+    s = 2j * np.pi * hz
+    loop = (5e5 + 150 * s) / (M * s**2 + 1e6 - 1e5)  # controller and force-current over the disc with its bearing's k_s
+    assert [one.value for one in found] == pytest.approx([np.abs(1 / (1 + loop)).max()] * 2, rel=1e-6)
+
+
+def test_a_machine_that_is_unstable_meets_nothing() -> None:
+    found = accept(load(jeffcott(4e5, -10.0)), operating=(300.0, 500.0), clearance=0.2e-3)
+    verdicts = {one.what: one.verdict for one in found.criteria}
+    assert found.verdict == "not met"
+    assert verdicts["D_max / C_min"] == verdicts["peak of |S|"] == verdicts["poles that grow"] == "not met"
+    assert of(found, "D_max / C_min")[0].said.startswith("no stable settled motion at 2864.79, ")
+    assert of(found, "log decrement")[0].verdict == "not met"
+    assert of(found, "A_max, peak to peak") == of(found, "separation margin") == []
+    refused = of(found, "response to unbalance")[0]
+    assert (refused.verdict, refused.said) == ("not met", "no settled response: unstable from 100.27 to 5013.4 rpm")
+
+
+def test_what_is_not_given_is_not_judged_and_says_why() -> None:
+    found = accept(load(jeffcott(4e5, 600.0)))
+    assert found.verdict == "not judged"
+    assert found.conditions.notes == (
+        "operating speed: 2864.79 rpm, the diagram's own",
+        "trip speed: 3008.03 rpm, 1.05 times the largest operating speed",
+    )
+    assert of(found, "D_max / C_min")[0].said == "no clearance is given: --clearance"
+    given = accept(load(jeffcott(4e5, 600.0)), clearance=0.3e-3)
+    assert (given.verdict, of(given, "D_max / C_min")[0].verdict) == ("met", "met")
+
+
+def test_a_sampled_controller_is_judged_by_its_exact_loop() -> None:
+    pid = {"type": "discrete_pid", "parameters": {"KP": 12500.0, "KI": 10.0, "KD": 3.75, "sample_time": "0.01 ms"}}
+    given = {"operating": (300.0, 500.0), "trip": 1200.0}
+    sampled, continuous = (accept(load(jeffcott(4e5, 150.0, one)), **given) for one in (pid, None))
+    for what in ("peak of |S|", "A_max, peak to peak", "log decrement", "separation margin"):
+        assert of(sampled, what)[0].value == pytest.approx(of(continuous, what)[0].value, rel=0.15), what
+        assert of(sampled, what)[0].value != of(continuous, what)[0].value
+
+
+def test_mass_from_the_equations() -> None:
+    """The free shaft: rho A l of every element and its discs, as ROSS has it; a disc; a pinned shaft does not tell."""
+    assert rotor_mass(compile_diagram(load(stepped(1e6))), "rotor.force[4]") == pytest.approx(
+        6.211285566234946, rel=1e-8
+    )
+    assert rotor_mass(compile_diagram(load(jeffcott(4e5, 1.0))), "rotor.force") == pytest.approx(2.0, rel=1e-12)
+    fine = stiff_rotor(0.01, 0.02, 1e6)
+    fine["blocks"]["rotor"]["parameters"]["subdivisions"] = 3
+    whole = 4 + 785 * np.pi / 4 * 0.05**2 * 0.4
+    assert rotor_mass(compile_diagram(load(fine)), "rotor.force[2]") == pytest.approx(whole, rel=1e-5)
+    with pytest.raises(RotorsimError) as caught:
+        rotor_mass(compile_diagram(load("fe_rigid")), "rotor.force[3]")
+    assert str(caught.value) == "error: rotor: its equations do not tell its mass\n\nhint: give it: --mass '8.2 kg'"
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"operating": (500.0, 300.0)}, "error: operating: operating speeds must be positive, the lowest first"),
+        ({"trip": 10.0}, "error: trip: the trip speed is below the largest operating speed"),
+        ({"mass": 0.0}, "error: mass: the mass of the rotor must be positive [kg]"),
+        ({"zone": "C"}, "error: zone: zone C accepts nothing: A or B"),
+        ({"clearance": -1.0}, "error: clearance: a clearance must be positive [m]"),
+        (
+            {"clearance": {"rotor.displacement[1]": 1e-4}},
+            "error: rotor.displacement[1]: not a displacement with two axes",
+        ),
+        ({"clearance": {"rotor.velocity": 1e-4}}, "error: rotor.velocity: not a displacement with two axes: 2 entries"),
+        ({"planes": ["rotor.moment"]}, "error: rotor.moment: no such input port"),
+        ({"cross_coupling": {"rotor.force": -1.0}}, "error: rotor.force: not a positive stiffness [N/m]"),
+    ],
+)
+def test_conditions_that_cannot_be(given, text: str) -> None:
+    with pytest.raises(RotorsimError) as caught:
+        accept(load(jeffcott(4e5, 150.0)), **given)
+    assert str(caught.value).startswith(text)
+
+
+def test_all_wrong_conditions_are_said_at_once() -> None:
+    with pytest.raises(RotorsimError) as caught:
+        accept(load(jeffcott(4e5, 150.0)), mass=-1.0, zone="D", planes=["rotr.force"])
+    assert [one.subject for one in caught.value.problems] == ["mass", "zone", "rotr"]
+
+
+def test_nothing_to_judge() -> None:
+    with pytest.raises(RotorsimError) as caught:
+        accept()
+    assert str(caught.value) == "error: accept: nothing to judge: give a diagram, a recording, or both"
+
+
+# -- recordings --------------------------------------------------------------------------------------------------------
+
+
+SAMPLES = """{
+  "name": "measured", "source": "made by hand",
+  "channels": {
+    "x": {"signal": "rotor.displacement", "axis": "x", "unit": "um"},
+    "y": {"signal": "rotor.displacement", "axis": "y", "unit": "um"}
+  },
+  "runs": [
+    {"id": "slow", "file": "slow.csv", "sample_rate": "4000 Hz", "speed": "3000 rpm"},
+    {"id": "fast", "file": "fast.csv", "sample_rate": "4000 Hz", "speed": "9000 rpm"}
+  ]
+}"""
+
+
+@pytest.fixture
+def circle(tmp_path: Path) -> Recording:
+    """Return a recording of a circle of 30 um about (40, 0) um at 3000 rpm, and one at 9000 rpm."""
+    time = np.arange(4000) / 4000.0
+    (tmp_path / "recording.json").write_text(SAMPLES)
+    for name, speed in (("slow", 3000 * RPM), ("fast", 9000 * RPM)):
+        moved = np.column_stack([40 + 30 * np.cos(speed * time), 30 * np.sin(speed * time)])
+        np.savetxt(tmp_path / f"{name}.csv", moved, delimiter=",", header="x,y", comments="", fmt="%.9g")
+    return load_recording(tmp_path)
+
+
+def test_what_a_recording_shows(circle) -> None:
+    found = accept(None, circle, operating=(2900 * RPM, 3100 * RPM), clearance=0.2e-3)
+    share, vibration = of(found, "D_max / C_min")[0], of(found, "vibration, peak to peak")[0]
+    assert share.value == pytest.approx(70e-6 / 0.2e-3, rel=1e-4)
+    assert (share.verdict, share.said, share.source) == ("not met", "zone B: 70 um of 200 um", "measured")
+    assert vibration.value == pytest.approx(60.0, rel=1e-3)
+    assert (vibration.limit, vibration.verdict) == (pytest.approx(25.4), "not met")
+    assert "fast: 9000 rpm, outside of the operating speeds; not counted" in found.parts[0].notes
+    zone_b = accept(None, circle, operating=(2900 * RPM, 3100 * RPM), clearance=0.2e-3, zone="B")
+    assert of(zone_b, "D_max / C_min")[0].verdict == "met"
+
+
+def test_a_channel_without_a_mean_counts_from_its_mean(circle) -> None:
+    channels = {name: replace(one, coupling="ac") for name, one in circle.channels.items()}
+    found = accept(None, replace(circle, channels=channels), operating=(2900 * RPM, 3100 * RPM), clearance=0.2e-3)
+    assert of(found, "D_max / C_min")[0].value == pytest.approx(30e-6 / 0.2e-3, rel=1e-3)
+    assert "rotor.displacement: its mean was not measured; D_max counts from the mean" in found.parts[0].notes
+
+
+def test_a_recording_at_no_operating_speed_is_not_judged(circle) -> None:
+    found = accept(None, circle, operating=(100.0, 200.0), clearance=0.2e-3)
+    assert (found.verdict, found.criteria[0].said) == ("not judged", "no run at one speed within the operating speeds")
+    assert accept(None, circle, clearance=0.2e-3).criteria[0].said == "no operating speed is given: --operating"
+
+
+def test_the_worst_of_all_required_criteria_is_the_verdict() -> None:
+    def one(stated: str, required: bool = True) -> Criterion:
+        return Criterion("", "", required=required, stated=stated)
+
+    def verdict(*criteria: Criterion) -> str:
+        part = SimpleNamespace(criteria=criteria)
+        return Acceptance("m", SimpleNamespace(), (part,)).verdict  # type: ignore[arg-type]
+
+    assert verdict(one("met"), one("not met", required=False)) == "met"
+    assert verdict(one("met"), one("not judged")) == "not judged"
+    assert verdict(one("unsure"), one("not judged")) == "unsure"
+    assert verdict(one("not met"), one("unsure")) == "not met"
+    assert verdict() == "not judged"
