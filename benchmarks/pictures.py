@@ -56,6 +56,7 @@ RAN_UP = (
 )
 
 
+ACCEPTED = 'accept two_amb_rotor --operating "2000 rpm:2500 rpm" --clearance "0.2 mm" --zone B --out acceptance'
 INJECTED = (
     'record jeffcott --inject controller.displacement --amplitude "1 um" --set "solver.stop=20 s" --rate "5 kHz" '
     '--noise "2 %" --out swept'
@@ -102,6 +103,10 @@ PICTURES = {
         ('frequency fe_rigid --from amb.force --to "rotor.displacement[3,1]" --range "10 Hz:500 Hz" --plot bode.png',),
         "bode.png",
     ),
+    **{
+        f"acceptance_{name}.png": Picture((ACCEPTED,), f"acceptance/{number}_{name}.png")
+        for number, name in ((3, "unbalance"), (5, "map"), (6, "shapes"))
+    },
     "margins.png": Picture(("margins two_amb_rotor --plot margins.png",), "margins.png"),
     "margins_measured.png": Picture((INJECTED, "margins swept --beside jeffcott --plot measured.png"), "measured.png"),
     "orders_bode.png": Picture(

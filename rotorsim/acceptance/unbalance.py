@@ -25,7 +25,7 @@ from rotorsim.signals.orders.resonance import RESPONSIVE, Margin, Peak, peak_in,
 
 UNBALANCE_TITLE = "Response to unbalance"
 VIBRATION, SEPARATION, CLEARANCE = (f"{API_684}, SP6.8.2.{n}" for n in (8, 10, 12))
-LOWEST_SHARE, HIGHEST_SHARE = 0.02, 1.25  # of the trip speed, between which the response is computed
+LOWEST_SHARE, HIGHEST_SHARE = 0.02, 1.5  # of the trip speed, between which the response is computed
 SPEED_POINTS = 121  # speeds over all
 AROUND_A_POLE = np.linspace(-3, 3, 13)  # half widths: speeds at every pole, and again at every maximum found
 POLE_SPEEDS = 5  # at which the poles are looked at
@@ -144,6 +144,14 @@ def _near_maxima(speeds: np.ndarray, size: np.ndarray, ends: tuple[float, float]
     return np.setdiff1d(near, speeds)
 
 
+def _read(speeds: np.ndarray, curve: np.ndarray, k: int) -> Peak:
+    """Return the peak of a curve at a maximum; a half-power speed that it has not is as far away as the other."""
+    peak = replace(peak_in(speeds, curve, k), speed=_vertex(speeds, curve, k))
+    if np.isnan(peak.upper):
+        return replace(peak, upper=2 * peak.speed - peak.lower)
+    return replace(peak, lower=2 * peak.speed - peak.upper) if np.isnan(peak.lower) else peak
+
+
 def _vertex(speeds: np.ndarray, curve: np.ndarray, k: int) -> float:
     """Return where the parabola through a maximum and its neighbours is largest."""
     a, b, _ = np.polyfit(speeds[k - 1 : k + 2] - speeds[k], curve[k - 1 : k + 2] / curve[k], 2)
@@ -168,8 +176,7 @@ def _critical(response: UnbalanceResponse, size: np.ndarray, given: Conditions) 
         found = []
         for i, probe in enumerate(response.signals[: size.shape[1]]):
             for k in _maxima(size[:, i, j]):
-                read = peak_in(response.speeds, size[:, i, j], k)
-                peak = replace(read, speed=_vertex(response.speeds, size[:, i, j], k))
+                peak = _read(response.speeds, size[:, i, j], k)
                 if np.isfinite(peak.amplification):
                     margin = separation_margin(peak.speed, peak.amplification, given.lowest, given.highest)
                     found.append(CriticalSpeedOfPlane(plane, probe, peak, margin))

@@ -282,3 +282,14 @@ def test_the_worst_of_all_required_criteria_is_the_verdict() -> None:
     assert verdict(one("unsure"), one("not judged")) == "unsure"
     assert verdict(one("not met"), one("unsure")) == "not met"
     assert verdict() == "not judged"
+
+
+def test_a_critical_speed_whose_upper_half_power_speed_is_beyond_the_range() -> None:
+    """It is there all the same: as wide above as below."""
+    given = {"operating": (300.0, 500.0), "trip": W0 / 1.47}
+    cut = of(accept(load(jeffcott(4e5, 150.0)), **given), "separation margin")
+    whole = of(accept(load(jeffcott(4e5, 150.0)), **{**given, "trip": 1.5 * W0}), "separation margin")
+    assert len(cut) == len(whole) == 1
+    assert cut[0].value == pytest.approx(whole[0].value, rel=1e-4)
+    factors = [float(one.where.split("AF ")[1].split(",")[0]) for one in (cut[0], whole[0])]
+    assert factors[0] == pytest.approx(factors[1], rel=0.1)

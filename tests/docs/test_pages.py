@@ -16,6 +16,7 @@ from tests.report import undrawn
 
 PAGES = [
     "README.md",
+    "docs/acceptance.md",
     "docs/cosimulation.md",
     "docs/diagnosis.md",
     "docs/diagrams.md",
@@ -29,6 +30,7 @@ PAGES = [
 ]
 LONG = {
     "README.md",
+    "docs/acceptance.md",
     "docs/cosimulation.md",
     "docs/diagrams.md",
     "docs/recordings.md",
