@@ -22,7 +22,8 @@ def refuse_all(problems: Sequence[Problem], exit_code: int = 2) -> None:
 
 def gathered(**readers: Callable[[], Any]) -> dict[str, Any]:
     """Return what every reader returns, by name. Raises RotorsimError with the mistakes of all of them."""
-    found, problems = {}, []
+    found: dict[str, Any] = {}
+    problems: list[Problem] = []
     for name, read in readers.items():
         try:
             found[name] = read()
