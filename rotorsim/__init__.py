@@ -58,6 +58,7 @@ _HOME = {
     "save_orders": "recordings.order_writing",
     "save_recording": "recordings.writing",
     "separation_margin": "signals.orders.resonance",
+    "settled_start": "settled.periodic",
     "simulate": "simulation.run",
     "simulate_as_recorded": "identification.as_recorded",
     "simulate_many": "simulation.ensemble.many",

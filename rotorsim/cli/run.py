@@ -61,6 +61,7 @@ class Output:
     type=click.Choice(["estimated", "diagram"]),
     help="States at the first sample of --input: those that leave least (default), or those of the diagram.",
 )
+@click.option("--settle", is_flag=True, help="Start in the settled motion, found by harmonic balance: no transient.")
 @click.option("--no-compiler", is_flag=True, help="Use CasADi's virtual machine instead of compiled C (slower).")
 @progress_option
 @json_option
@@ -75,6 +76,7 @@ def command(
     recording: str | None,
     run_id: str | None,
     start: str | None,
+    settle: bool,
     no_compiler: bool,
     progress: bool | None,
     as_json: bool,
@@ -90,7 +92,7 @@ def command(
     rotorsim run servo.json --input measurements/2026-11 --run run02 --plot beside.png
     """
     if recording is not None:
-        unheard = {"--solver": solver, "--step": step, "--stop": stop, "--no-compiler": no_compiler}
+        unheard = {"--solver": solver, "--step": step, "--stop": stop, "--no-compiler": no_compiler, "--settle": settle}
         hint = "the recorded instants say where it goes, in steps that are short enough"
         refuse_all([Problem(f"{name} does not go with --input", hint=hint) for name, used in unheard.items() if used])
         from rotorsim.recordings.document import recording_kind
@@ -118,6 +120,11 @@ def command(
 
     check_sinks(loaded)
     model = model_for_runs(loaded)
+    initial = None
+    if settle:
+        from rotorsim.settled.periodic import settled_start
+
+        initial = settled_start(loaded)
     with progress_bar(loaded.name, progress) as bar:
         # With a function to call, the run is cut into pieces, so that Ctrl-C is heard between them.
         result = simulate(
@@ -126,6 +133,7 @@ def command(
             step=times.get("step"),
             method=solver,
             record=tuple(dict.fromkeys([*shown, *hidden])),
+            initial=initial,
             use_compiler=not no_compiler,
             progress=bar or _silent,
         )

@@ -142,7 +142,7 @@ def _is_rotor_displacement(diagram: Diagram, name: str) -> bool:
 def controlled(diagram: Diagram) -> tuple[tuple[str, tuple[str, str], Bearing], ...]:
     """Return (controller, its signals x and y, bearing) of every bearing that a controller drives.
 
-    A controller of several bearings takes their probes in the order in which its outputs reach them.
+    A controller of several bearings has their probes in the order of the parts of its outputs that reach them.
     """
     made = []
     bearings = {bearing.name: bearing for bearing in bearings_of(diagram)}
@@ -159,14 +159,14 @@ def controlled(diagram: Diagram) -> tuple[tuple[str, tuple[str, str], Bearing], 
 
 
 def _downstream(diagram: Diagram, block: str) -> Sequence[str]:
-    """Return the blocks behind one, in the order of the wires, up to bearings and rotors."""
+    """Return the blocks behind one, in the order of the parts of its outputs, up to bearings and rotors."""
     found: dict[str, None] = {}
     waiting = [block]
     while waiting:
         at = waiting.pop(0)
-        for wire in diagram.wires:
+        for wire in sorted((wire for wire in diagram.wires if wire.source.block == at), key=lambda w: w.source.index):
             other = wire.target.block
-            if wire.source.block == at and other not in found:
+            if other not in found:
                 found[other] = None
                 if diagram.nodes[other].block.category not in ("bearing", "rotor", "controller"):
                     waiting.append(other)

@@ -25,8 +25,9 @@ from rotorsim.settled.equations import FIRST_SAMPLES, instants, without_inputs
 from rotorsim.settled.forcing import PROBE, ZERO_COEFFICIENT
 from rotorsim.settled.result import Periodic
 
-__all__ = ["Channels", "Periodic", "periodic"]
+__all__ = ["Channels", "Periodic", "periodic", "settled_start"]
 
+START_TOLERANCE = 1e-10  # size of the harmonics left out of a settled start, which are its transient
 COUPLED_PERIODIC = "rotorsim.cosim.coupled_periodic"  # a room above this one: imported where parts hide their equations
 
 
@@ -125,6 +126,38 @@ def periodic(
             "turns": subharmonic,
         },
     )
+
+
+def settled_start(diagram: Diagram | Model, *, parameters: Mapping[str, Any] | None = None) -> np.ndarray:
+    """Return the states (n_x,) of the settled periodic motion at t = 0: a run from there has no transient.
+
+    Of the diagram's own speed. States that drift, which have no mean, are where the diagram starts them.
+
+    Raises RotorsimError as `periodic`, where no settled motion is found, and where it is not stable.
+    """
+    model = model_for_runs(diagram, called=False)
+    if model.hidden:
+        what = "a part hides its equations: the states of its settled motion are not known"
+        raise RotorsimError(Problem(what, model.diagram.name, hint="run it until it has settled"))
+    model = linear.as_model(model)
+    linear.refuse_sampled(model, "a settled start")
+    require_speed(model, "a settled start")
+    p = model.parameter_vector(parameters)
+    speed = linear.speed_of(model, p)
+    if not speed:
+        hint = "give a speed, and a clock that does not accelerate"
+        raise RotorsimError(Problem("its speed is zero: there is no turn to be periodic in", "speed", hint=hint))
+    setup = _SETUPS.get(model) or _SETUPS.setdefault(model, _Setup(model))
+    _returning(setup, None, abs(speed), p)
+    motion = orbits(setup, np.array([abs(speed)]), p[None], Settings(None, START_TOLERANCE, True))
+    _refuse_beyond_limits(setup, np.array([abs(speed)]), p[None], motion)
+    if motion.status[0].startswith("failed"):
+        raise RotorsimError(Problem(f"no settled motion: {motion.status[0]}", model.diagram.name), exit_code=1)
+    if motion.stable[0] is False:
+        what = "its settled motion is not stable: no run stays there"
+        raise RotorsimError(Problem(what, model.diagram.name, hint="`rotorsim modes` shows what grows"), exit_code=1)
+    x = samples_of(motion.X, 2 * motion.X.shape[1])[0, 0]
+    return np.where(np.isfinite(x), x, model.x0(p))
 
 
 def _refuse_beyond_limits(setup: Setup, base: np.ndarray, p: np.ndarray, motion: Orbits) -> None:

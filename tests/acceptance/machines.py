@@ -108,7 +108,10 @@ def jeffcott(stiffness: float, damping: float, controller: dict[str, Any] | None
         "parameters": {"speed": "300 rad/s"},
         "blocks": {
             "clock": {"type": "clock", "parameters": {"speed": "$speed"}},
-            "unbalance": {"type": "unbalance", "parameters": {"mass": "2 kg", "eccentricity": "10 um"}},
+            "unbalance": {
+                "type": "unbalance",
+                "parameters": {"mass": "2 kg", "eccentricity": "10 um", "phase": "0 deg"},
+            },
             "rotor": {
                 "type": "rotor_2dof",
                 "parameters": {"mass": "2 kg", "stiffness": "1e6 N/m", "viscous_damping": "0 N s/m"},

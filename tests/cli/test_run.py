@@ -256,3 +256,18 @@ def test_spectrum_window(run) -> None:
     result = run("spectrum", "jeffcott", "--window", "5 s")
     assert result.exit_code == 2
     assert result.stderr == "error: --window 5 s: not START:STOP\n\nhint: for example --window '4 s:5 s'\n"
+
+
+def test_a_run_that_begins_settled(run) -> None:
+    found = run("run", "jeffcott", "--settle", "--stop", "0.2 s", "--out", "settled.csv")
+    assert found.exit_code == 0
+    table = np.genfromtxt("settled.csv", delimiter=",", names=True)
+    x = table[next(name for name in table.dtype.names if "displacement" in name)]
+    turn = round(0.04 / (table["time"][1] - table["time"][0]))
+    assert np.abs(x[turn:] - x[:-turn]).max() < 1e-5 * np.abs(x).max()
+
+
+def test_settle_does_not_go_with_a_recording(run) -> None:
+    run("record", "jeffcott", "--speeds", "1500 rpm", "--out", "measured")
+    found = run("run", "jeffcott", "--input", "measured", "--settle")
+    assert (found.exit_code, found.stderr.splitlines()[0]) == (2, "error: --settle does not go with --input")
