@@ -20,7 +20,7 @@ from rotorsim.linear.linearisation import provenance
 from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.recordings.injection import InjectionRecording
 from rotorsim.recordings.orders import OrderRecording
-from rotorsim.recordings.recording import Recording
+from rotorsim.recordings.recording import ANGLE, TACHO, Recording
 
 AnyRecording = Recording | OrderRecording
 
@@ -88,6 +88,8 @@ def accept(
     if diagram is None and not given:
         raise RotorsimError(Problem("nothing to judge: give a diagram, a recording, or both", "accept"))
     model = None if diagram is None else model_for_runs(diagram)
+    if model is not None:
+        _refuse_foreign(model, given)
     conditions = conditions_of(
         model,
         operating=operating,
@@ -110,6 +112,23 @@ def accept(
         recordings=names,
         provenance={} if model is None else provenance(model, None, "accept"),
     )
+
+
+def _refuse_foreign(model: Model, recordings: Sequence[AnyRecording]) -> None:
+    """Raise RotorsimError for recordings of what the diagram has not: those of another machine."""
+    problems = []
+    for recording in recordings:
+        ports = {one.signal for one in recording.channels.values()}
+        known = {
+            f"{name}.{port}" for name, node in model.diagram.nodes.items() for port in (*node.inputs, *node.outputs)
+        }
+        foreign = sorted(ports - known - {ANGLE, TACHO})
+        if foreign:
+            hint = "is it of this machine? recording.json names what its channels measure"
+            what = f"the diagram '{model.diagram.name}' has no {', '.join(foreign)}"
+            problems.append(Problem(what, recording.name, hint=hint))
+    if problems:
+        raise RotorsimError(*problems)
 
 
 def _modelled(model: Model, given: Conditions) -> Iterator[Part]:

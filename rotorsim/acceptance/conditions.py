@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.linear.campbell import Campbell, campbell
 from rotorsim.linear.collocation import controlled
 from rotorsim.linear.linearisation import speed_of
 from rotorsim.linear.loop import SENSOR, arriving
 from rotorsim.linear.unbalance_response import plane_entries, planes_of
 from rotorsim.model.compiled import Model
 
+HIGHEST_SHARE = 1.5  # of the trip speed, up to which modes and responses are looked at
+CAMPBELL_SPEEDS = 41
 TRIP = 1.05  # times the largest operating speed, API 617 for drives of variable speed
 ACCEPTED_ZONES = ("A", "B")
 
@@ -76,6 +80,9 @@ def conditions_of(
         problems.append(Problem(f"zone {zone} accepts nothing: A or B", "zone"))
     diagram = None if model is None else model.diagram
     probes = () if diagram is None else probes_of(diagram)
+    other = [name for name in probes if model is not None and not is_length(model, name)]
+    probes = tuple(name for name in probes if name not in other)
+    notes += [f"{name} is no displacement in m: it is not judged" for name in other]
     wanted = tuple(planes) or (() if diagram is None else planes_of(diagram))
     coupled = dict(cross_coupling or {})
     if diagram is not None:
@@ -87,6 +94,17 @@ def conditions_of(
     return Conditions(lowest, highest, trip, probes, limits, wanted, mass, zone, coupled, tuple(notes))
 
 
+_CAMPBELLS: WeakKeyDictionary[Model, dict[float, Campbell]] = WeakKeyDictionary()
+
+
+def campbell_of(model: Model, given: Conditions) -> Campbell:
+    """Return the Campbell diagram to 1.5 times the trip speed; it is kept as long as the model lives."""
+    known = _CAMPBELLS.setdefault(model, {})
+    if given.trip not in known:
+        known[given.trip] = campbell(model, speeds=np.linspace(0.0, HIGHEST_SHARE * given.trip, CAMPBELL_SPEEDS))
+    return known[given.trip]
+
+
 def probes_of(diagram: Diagram) -> tuple[str, ...]:
     """Return the two-axis signals that the probes of the controllers see, such as ``rotor.displacement[3]``."""
     seen = [signals for _, signals, _ in controlled(diagram)]
@@ -96,6 +114,20 @@ def probes_of(diagram: Diagram) -> tuple[str, ...]:
             seen += [(entries[k], entries[k + 1]) for k in range(0, len(entries) - 1, 2)]
     found = [_pair(*both) for both in seen]
     return tuple(dict.fromkeys(name for name in found if name))
+
+
+def is_length(model: Model, name: str) -> bool:
+    """Return whether a signal is a length [m]: as it says, or the sum of such."""
+    base = name.partition("[")[0]
+    unit = model.select(name)[0].unit
+    block, _, _ = base.rpartition(".")
+    node = model.diagram.nodes[block]
+    if unit in ("m",):
+        return True
+    if node.block.type_name != "sum":
+        return False
+    sources = [wire.source for wire in model.diagram.wires if wire.target.block == block]
+    return bool(sources) and all(is_length(model, f"{end.block}.{end.port}") for end in sources)
 
 
 def _pair(x: str, y: str) -> str:
@@ -122,7 +154,7 @@ def _clearances(
     """Return place -> radial clearance; one number is that of all probes ("" without a diagram)."""
     given = clearance if isinstance(clearance, Mapping) else {} if clearance is None else {"": clearance}
     made: dict[str, float] = {}
-    for place, value in given.items():
+    for place, value in sorted(given.items()):  # "", of all probes, first: a place of its own is heard
         if not (np.isfinite(value) and value > 0):
             problems.append(Problem("a clearance must be positive [m]", place or "clearance"))
         elif not place:
@@ -136,10 +168,10 @@ def _clearances(
 
 def _wrong_signal(model: Model, name: str) -> list[Problem]:
     try:
-        signal, entries = model.select(name)
+        _, entries = model.select(name)
     except RotorsimError as error:
         return list(error.problems)
-    if len(entries) == 2 and signal.unit in ("m", None):
+    if len(entries) == 2 and is_length(model, name):
         return []
     hint = "a clearance belongs to one place, such as rotor.displacement[3]"
     return [Problem(f"not a displacement with two axes: {len(entries)} entries", name, hint=hint)]

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from rotorsim.acceptance.conditions import Conditions
+from rotorsim.acceptance.conditions import Conditions, campbell_of
 from rotorsim.acceptance.criterion import API_617, API_684, Criterion, Part, judged
 from rotorsim.acceptance.limits import HIGHEST_MODE
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.campbell import Campbell, campbell
+from rotorsim.linear.campbell import Campbell
 from rotorsim.linear.eigenmodes import RESONANT, modes
 from rotorsim.linear.linearisation import as_model, flat_names, linearise, speed_of
 from rotorsim.linear.loop import growing_poles, linear_system
@@ -25,8 +26,8 @@ LEVEL_1, STABILITY = f"{API_617}, 4.8.5 (level I)", f"{API_684}, 3"
 COUPLINGS = 40  # between 0.001 and 1000 times the anticipated one, at which stability is looked at
 LEAST_DECREMENT = 0.1  # of the first forward mode, API 617 level I
 LEAST_RATIO = 2.0  # of the cross coupling at the limit of stability to that which is anticipated, API 617 level I
-CAMPBELL_SPEEDS = 41
-CAMPBELL_SHARE = 1.25  # of the trip speed, up to which it is drawn
+WEAK = 0.2  # damping ratio below which 2X may bring a mode to resonance: AF 2.5
+TWIN = 1.05  # of the first frequency, up to which modes of two planes are one: the less damped one counts
 MOST_COUPLING = 1e3  # times the anticipated one, up to which the limit of stability is looked for
 
 
@@ -64,10 +65,11 @@ def _damped(model: Model, given: Conditions) -> Part:
     made = [_stable(stable, at)]
     low = [mode for mode in found if mode.whirl in ("forward", "planar", "")]
     if low:
-        first = low[0]
+        alike = [mode for mode in low if mode.frequency <= TWIN * low[0].frequency]
+        first = min(alike, key=lambda mode: mode.decrement)
         words = f"first {first.whirl or 'damped'} mode, {first.frequency:.4g} Hz{at}"
         made.append(Criterion(LEVEL_1, "log decrement", words, first.decrement, LEAST_DECREMENT, at_most=False))
-    weak = [mode for mode in found if mode.decrement < LEAST_DECREMENT and mode is not (low[0] if low else None)]
+    weak = [mode for mode in found if mode.decrement < LEAST_DECREMENT and mode is not (first if low else None)]
     for mode in weak:
         words = f"{mode.whirl or 'damped'} mode, {mode.frequency:.4g} Hz{at}"
         made.append(
@@ -75,14 +77,14 @@ def _damped(model: Model, given: Conditions) -> Part:
         )
     results: list[object] = [DampedModes(found)]
     if turning and not model.n_z:
-        map_of = campbell(model, speeds=np.linspace(0.0, given.trip * CAMPBELL_SHARE, CAMPBELL_SPEEDS))
+        map_of = campbell_of(model, given)
         results.append(map_of)
         made.append(_over_speed(map_of, given))
         notes += _twice(map_of, given)
     elif model.n_z:
         notes.append("sampled controllers: the modes are those of the exact loop; their whirl is not told")
-    for plane, coupling in given.cross_coupling.items():
-        made += _coupled(model, turning, plane, coupling, at)
+    if given.cross_coupling:
+        made += _coupled(model, turning, given.cross_coupling, at)
     return Part(DAMPING_TITLE, tuple(made), tuple(notes), tuple(results))
 
 
@@ -106,7 +108,7 @@ def _twice(result: Campbell, given: Conditions) -> list[str]:
         f"2X meets a {one.whirl} mode of {one.frequency_hz:.4g} Hz, log decrement "
         f"{2 * np.pi * one.damping_ratio / np.sqrt(1 - one.damping_ratio**2):.3g}, at {one.speed * 30 / np.pi:.5g} rpm"
         for one in result.crossings
-        if one.order == 2 and given.lowest <= one.speed <= given.highest and one.damping_ratio < RESONANT
+        if one.order == 2 and given.lowest <= one.speed <= given.highest and one.damping_ratio < WEAK
     ]
 
 
@@ -129,15 +131,17 @@ def _modes(model: Model, turning: dict[str, float]) -> tuple[tuple[DampedMode, .
     return (tuple(sorted(listed, key=lambda mode: mode.frequency)), list(notes), not len(growing_poles(system)))
 
 
-def _coupled(model: Model, turning: dict[str, float], plane: str, coupling: float, at: str) -> list[Criterion]:
-    """Judge the damping with a cross-coupled stiffness Q in a plane: f = Q (-y, x), which drives forward whirl."""
-    where = f"Q = {coupling:.4g} N/m at {plane}{at}"
+def _coupled(model: Model, turning: dict[str, float], couplings: Mapping[str, float], at: str) -> list[Criterion]:
+    """Judge the damping with cross-coupled stiffnesses Q, all at once: f = Q (-y, x), which drives forward whirl."""
+    where = f"Q = {', '.join(f'{value:.4g} N/m at {plane}' for plane, value in couplings.items())}{at}"
     try:
-        system, rows = _open_plane(model, turning, plane)
+        opened = {plane: _open_plane(model, turning, plane) for plane in couplings}
     except RotorsimError as error:
         return [Criterion(LEVEL_1, "log decrement", where, said=error.problems[0].what)]
-    across = system.B @ np.array([[0.0, -1.0], [1.0, 0.0]]) @ rows
-    first = _first_forward(system.A + coupling * across, rows)
+    turned = np.array([[0.0, -1.0], [1.0, 0.0]])
+    across = sum(value * (opened[plane][0].B @ turned @ opened[plane][1]) for plane, value in couplings.items())
+    system, rows = next(iter(opened.values()))
+    first = _first_forward(system.A + across, rows)
     if first is None:
         return [Criterion(LEVEL_1, "log decrement", where, said="no forward mode")]
     decrement = decrement_of(first)
@@ -145,7 +149,7 @@ def _coupled(model: Model, turning: dict[str, float], plane: str, coupling: floa
     made = [Criterion(LEVEL_1, "log decrement", words, decrement, LEAST_DECREMENT, at_most=False)]
 
     def is_stable(ratio: float) -> bool:
-        return not growing(system.A + ratio * coupling * across)
+        return not growing(system.A + ratio * across)
 
     low, high = 0.0, MOST_COUPLING
     if is_stable(high):
@@ -157,7 +161,7 @@ def _coupled(model: Model, turning: dict[str, float], plane: str, coupling: floa
         while high - low > 1e-6 * high:
             middle = (low + high) / 2
             low, high = (middle, high) if is_stable(middle) else (low, middle)
-        said = f"stable up to Q_0 = {low * coupling:.4g} N/m"
+        said = f"stable up to {low:.4g} times these"
     return [*made, Criterion(LEVEL_1, "Q_0 / Q_A", where, low, LEAST_RATIO, at_most=False, said=said)]
 
 

@@ -7,22 +7,26 @@ unbalance, crack, and what a recording has besides. Zones A, B, C end at 0.3, 0.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorsim.acceptance.conditions import Conditions
-from rotorsim.acceptance.criterion import API_617, ISO_2, Criterion, Part, judged, not_judged
+from rotorsim.acceptance.criterion import API_617, ISO_2, MET, UNSURE, Criterion, Part, judged, not_judged
 from rotorsim.acceptance.limits import vibration_limit
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import RotorsimError
+from rotorsim.linear.loop import linear_system
 from rotorsim.model.compiled import Model
-from rotorsim.recordings.recording import Channel, Recording, Run
+from rotorsim.recordings.recording import AXES, Channel, Recording, Run
 from rotorsim.settled.periodic import periodic
 from rotorsim.signals.shaft_angle import shaft_angle
 from rotorsim.signals.turning import is_run_up
 
 DISPLACEMENT_ZONES = ((0.3, "A"), (0.4, "B"), (0.5, "C"))  # of the least radial clearance
 DISPLACEMENT_TITLE, CLAUSE, WHAT = "Displacement against the clearance", f"{ISO_2}, table 1", "D_max / C_min"
+RUNNING_TEST = f"{API_617}, mechanical running test"
+NO_CLEARANCE = "no clearance is given: --clearance"
+NEAR_HIGHEST = 0.02  # of the largest operating speed, within which it counts as recorded
 SPEEDS = 9  # of the operating range, at which the settled motion is computed
 IN_RANGE = 0.005  # of a speed: a machine that runs at its largest operating speed is within the range
 
@@ -45,22 +49,39 @@ class Displacement:
 
 def modelled_displacement(model: Model, given: Conditions) -> Part:
     """Return D_max of the settled motion of the diagram over its operating speeds, as it stands there."""
-    places = [name for name in given.probes if name in given.clearance]
-    if not places:
-        said = "no clearance is given: --clearance" if given.probes else "no controller sees two axes of a displacement"
-        return not_judged(DISPLACEMENT_TITLE, CLAUSE, WHAT, said)
+    blind = [
+        Criterion(CLAUSE, WHAT, place, said=NO_CLEARANCE) for place in given.probes if place not in given.clearance
+    ]
+    places = [name for name in given.clearance if name]
+    if not (places or blind):
+        return not_judged(DISPLACEMENT_TITLE, CLAUSE, WHAT, "no controller sees two axes of a displacement")
     if not np.isfinite(given.highest):
         return not_judged(DISPLACEMENT_TITLE, CLAUSE, WHAT, "no operating speed is given: --operating")
-    return judged(DISPLACEMENT_TITLE, CLAUSE, WHAT, lambda: _settled(model, given, places))
+    if not places:
+        return Part(DISPLACEMENT_TITLE, tuple(blind))
+    found = judged(DISPLACEMENT_TITLE, CLAUSE, WHAT, lambda: _settled(model, given, places))
+    return replace(found, criteria=(*found.criteria, *blind))
+
+
+def _operating_speeds(model: Model, given: Conditions) -> np.ndarray:
+    """Return speeds of the operating range: equal steps, and those at which 1X or 2X meets a mode."""
+    found = [np.linspace(given.lowest, given.highest, SPEEDS)]
+    if given.highest > given.lowest:
+        for speed in (given.lowest, given.highest):
+            poles = linear_system(model, (), (), {"speed": float(speed)})[0].poles()
+            poles = poles[(poles.imag > 0) & (-poles.real < poles.imag)]
+            near = (poles.imag[:, None] + np.abs(poles.real)[:, None] * np.array([-0.5, 0.0, 0.5])).ravel()
+            found += [near, near / 2]
+    speeds = np.unique(np.round(np.concatenate(found), 9))
+    inside = (speeds >= given.lowest) & (speeds <= given.highest)
+    return np.unique(np.concatenate([found[0], speeds[inside]]))
 
 
 def _settled(model: Model, given: Conditions, places: Sequence[str]) -> Part:
-    speeds = np.unique(np.linspace(given.lowest, given.highest, SPEEDS))
+    speeds = _operating_speeds(model, given)
     motion = periodic(model, speeds=speeds, signals=places)
     largest = np.full((len(speeds), len(places)), np.nan)
     for k, place in enumerate(places):
-        if (motion.units[place] or "m") != "m":
-            raise RotorsimError(Problem(f"a displacement in {motion.units[place]}, not in m", place))
         largest[:, k] = np.abs(motion.time_history(place)[1]).max(axis=1)
     ill = ~motion.settled | np.array([stable is False for stable in motion.stable])
     largest[ill] = np.nan
@@ -71,20 +92,16 @@ def _settled(model: Model, given: Conditions, places: Sequence[str]) -> Part:
     ]
     clearance = np.array([given.clearance[place] for place in places])
     if ill.any():
-        at = ", ".join(f"{speed * 30 / np.pi:.6g}" for speed in speeds[ill])
-        said = f"no stable settled motion at {at} rpm"
+        ends = speeds[ill][[0, -1]] * 30 / np.pi
+        said = f"no stable settled motion at {ill.sum()} of {len(speeds)} speeds, {ends[0]:.6g} to {ends[1]:.6g} rpm"
         failed = Criterion(CLAUSE, WHAT, value=np.inf, limit=_limit(given), said=said)
         return Part(DISPLACEMENT_TITLE, (failed,), tuple(notes))
     made = []
     for k, place in enumerate(places):
         worst = int(np.argmax(largest[:, k]))
         made.append(_criterion(given, largest[worst, k], place, speeds[worst], clearance[k], "modelled"))
-    return Part(
-        DISPLACEMENT_TITLE,
-        tuple(made),
-        tuple(notes),
-        (Displacement("modelled", speeds, tuple(places), largest, clearance),),
-    )
+    result = Displacement("modelled", speeds, tuple(places), largest, clearance)
+    return Part(DISPLACEMENT_TITLE, tuple(made), tuple(notes), (result,))
 
 
 def _limit(given: Conditions) -> float:
@@ -109,56 +126,69 @@ def _criterion(
 def measured_displacement(recording: Recording, given: Conditions) -> Part:
     """Return D_max, and the vibration peak to peak, of all runs of a recording at one operating speed.
 
-    D_max counts from the centre of the clearance, which zero of a channel is; a channel without a mean
-    ("coupling": "ac") counts from its mean. The vibration is of all frequencies, as a monitor shows it.
+    D_max counts from the centre of the clearance, which zero of a channel is. A channel without a mean
+    ("coupling": "ac") counts from its mean, and what it says is a lower bound. The vibration is of all frequencies, as
+    a monitor shows it, of each channel.
     """
     title = f"Displacement and vibration, {recording.name}"
     notes: list[str] = []
     runs = list(_at_operating_speed(recording, given, notes))
-    pairs = list(_pairs(recording))
-    if not pairs:
-        return not_judged(title, CLAUSE, WHAT, "no displacement was measured in both axes of one place")
+    places = _places(recording)
+    if not places:
+        return not_judged(title, CLAUSE, WHAT, "no displacement was measured")
     if not runs:
-        said = (
-            "no run at one speed within the operating speeds"
-            if np.isfinite(given.highest)
-            else ("no operating speed is given: --operating")
-        )
+        missing = "no run at one speed within the operating speeds"
+        said = missing if np.isfinite(given.highest) else "no operating speed is given: --operating"
         return not_judged(title, CLAUSE, WHAT, said)
     made: list[Criterion] = []
-    limit = vibration_limit(given.highest)
-    results = []
-    for x, y in pairs:
-        place = _place(x)
-        clearance = given.clearance.get(place, given.clearance.get("", np.nan))
-        blind = "ac" in (x.coupling, y.coupling)
-        if blind:
-            notes.append(f"{place}: its mean was not measured; D_max counts from the mean")
-        sizes = [(_largest(run, x, y, blind), run, speed) for run, speed in runs]
-        sizes = [one for one in sizes if np.isfinite(one[0])]
-        if not sizes:
-            continue
-        largest, run, speed = max(sizes, key=lambda one: one[0])
-        if np.isfinite(clearance):
-            made.append(_criterion(given, largest, place, speed, clearance, "measured", run.id))
-            values = np.array([[one[0]] for one in sizes])
-            results.append(
-                Displacement(
-                    recording.name, np.array([one[2] for one in sizes]), (place,), values, np.array([clearance])
-                )
-            )
-        else:
-            made.append(Criterion(CLAUSE, WHAT, place, source="measured", said="no clearance is given: --clearance"))
-        widest, at, speed, axis = max(
-            (float(np.nanmax(run.values[one.column]) - np.nanmin(run.values[one.column])), run.id, speed, one.name)
-            for run, speed in runs
-            for one in (x, y)
-            if np.isfinite(run.values[one.column]).any()
-        )
-        where = f"{axis} at {speed * 30 / np.pi:.5g} rpm, {at}"
-        clause, what = f"{API_617}, mechanical running test", "vibration, peak to peak"
-        made.append(Criterion(clause, what, where, widest * 1e6, limit * 1e6, "um", source="measured"))
+    results: list[Displacement] = []
+    for place, axes in places.items():
+        made += _of_place(recording, given, runs, place, axes, results)
+    near = max(speed for _, speed in runs)
+    if near < given.highest * (1 - NEAR_HIGHEST):
+        said = f"{near * 30 / np.pi:.5g} rpm is the largest operating speed that was recorded"
+        made.append(Criterion(CLAUSE, WHAT, f"at {given.highest * 30 / np.pi:.5g} rpm", source="measured", said=said))
     return Part(title, tuple(made), tuple(notes), tuple(results))
+
+
+def _of_place(
+    recording: Recording,
+    given: Conditions,
+    runs: Sequence[tuple[Run, float]],
+    place: str,
+    axes: Sequence[Channel],
+    results: list[Displacement],
+) -> Iterator[Criterion]:
+    """Yield D_max and the vibration at a place."""
+    clearance = given.clearance.get(place, given.clearance.get("", np.nan))
+    required = place in given.probes or not given.probes  # others than the probes of the diagram are shown
+    sizes = [(_largest(run, axes), run, speed) for run, speed in runs]
+    sizes = [one for one in sizes if np.isfinite(one[0])]
+    if not np.isfinite(clearance):
+        yield Criterion(CLAUSE, WHAT, place, source="measured", required=required, said=NO_CLEARANCE)
+    elif not sizes:
+        yield Criterion(CLAUSE, WHAT, place, source="measured", said="nothing finite was measured")
+    else:
+        largest, run, speed = max(sizes, key=lambda one: one[0])
+        found = _criterion(given, largest, place, speed, clearance, "measured", run.id)
+        lacks = [f"its {axis} axis was not measured" for axis in AXES if axis not in {one.axis for one in axes}]
+        lacks += [f"the mean of {one.name} was not measured" for one in axes if one.coupling == "ac"]
+        if lacks and found.verdict == MET:
+            found = replace(found, stated=UNSURE)
+        yield replace(found, said="; ".join([found.said, *lacks]))
+        values, speeds = np.array([[one[0]] for one in sizes]), np.array([one[2] for one in sizes])
+        results.append(Displacement(recording.name, speeds, (place,), values, np.array([clearance])))
+    wide = [
+        (float(np.nanmax(run.values[one.column]) - np.nanmin(run.values[one.column])), run.id, speed, one.name)
+        for run, speed in runs
+        for one in axes
+        if np.isfinite(run.values[one.column]).any()
+    ]
+    if wide:
+        widest, at, speed, axis = max(wide)
+        where = f"{axis} at {speed * 30 / np.pi:.5g} rpm, {at}"
+        limit, what = vibration_limit(given.highest) * 1e6, "vibration, peak to peak"
+        yield Criterion(RUNNING_TEST, what, where, widest * 1e6, limit, "um", source="measured", required=required)
 
 
 def _at_operating_speed(recording: Recording, given: Conditions, notes: list[str]) -> Iterator[tuple[Run, float]]:
@@ -179,26 +209,28 @@ def _at_operating_speed(recording: Recording, given: Conditions, notes: list[str
             notes.append(f"{run.id}: {speed * 30 / np.pi:.5g} rpm, outside of the operating speeds; not counted")
 
 
-def _pairs(recording: Recording) -> Iterator[tuple[Channel, Channel]]:
-    """Yield the channels of displacements x and y of each place."""
-    found: dict[tuple[str, int | None, float | None], dict[str, Channel]] = {}
+def _places(recording: Recording) -> dict[str, list[Channel]]:
+    """Return the channels of displacements at each place: two-axis signal -> x and y, or the one that there is."""
+    found: dict[str, dict[str, Channel]] = {}
     for one in recording.channels.values():
         if one.signal.endswith("displacement") and one.axis is not None:
-            found.setdefault((one.signal, one.node, one.position), {})[one.axis] = one
-    for axes in found.values():
-        if len(axes) == 2:
-            yield axes["x"], axes["y"]
+            number = AXES.index(one.axis) + 1
+            place = (
+                one.name.removesuffix(f",{number}]") + "]" if "," in one.name else one.name.removesuffix(f"[{number}]")
+            )
+            found.setdefault(place, {})[one.axis] = one
+    return {place: [axes[axis] for axis in AXES if axis in axes] for place, axes in found.items()}
 
 
-def _place(x: Channel) -> str:
-    """Return the two-axis signal of the channel of an x axis: rotor.displacement[3], rotor.displacement."""
-    return x.name.removesuffix(",1]") + "]" if x.name.endswith(",1]") else x.name.removesuffix("[1]")
-
-
-def _largest(run: Run, x: Channel, y: Channel, from_mean: bool) -> float:
-    """Return the largest distance from the centre, of samples in which both axes were measured."""
-    motion = np.asarray(run.values[x.column]) + 1j * np.asarray(run.values[y.column])
-    motion = motion[np.isfinite(motion)]
-    if not len(motion):
-        return np.nan
-    return float(np.abs(motion - (motion.mean() if from_mean else 0.0)).max())
+def _largest(run: Run, axes: Sequence[Channel]) -> float:
+    """Return the largest distance from the centre; where an axis is missing, of the other alone."""
+    squares = np.zeros(len(run.time))
+    told = np.zeros(len(run.time), bool)
+    for one in axes:
+        values = np.asarray(run.values[one.column], float)
+        there = np.isfinite(values)
+        if there.any():
+            mean = values[there].mean() if one.coupling == "ac" else 0.0
+            squares += np.where(there, np.nan_to_num(values) - mean, 0.0) ** 2
+            told |= there
+    return float(np.sqrt(squares[told].max())) if told.any() else np.nan

@@ -40,15 +40,19 @@ def _modelled(model: Model, given: Conditions) -> Part:
     notes: list[str] = []
     found = []
     for speed in speeds:
-        result: Margins = margins(model, parameters={} if speed is None else {"speed": speed})
+        result: Margins = margins(model, parameters={} if speed is None else {"speed": speed}, limits=False)
         notes += [note for note in result.notes if note not in notes]
         found.append(MarginsAt(speed, result))
         at = "" if speed is None else f" at {speed * 30 / np.pi:.5g} rpm"
         for axis in result.axes:
             value = axis.peak if result.stable else np.inf
             said = f"zone {axis.zone}, at {axis.frequency:.4g} Hz" if result.stable else "the closed loop is unstable"
-            if axis.name not in worst or value > worst[axis.name].value * (1 + EQUAL_PEAKS):
+            if axis.name not in worst or not value <= worst[axis.name].value * (1 + EQUAL_PEAKS):
                 worst[axis.name] = Criterion(CLAUSE, WHAT, f"{axis.name}{at}", value, limit, said=said)
+    singular = max((one.margins for one in found), key=lambda one: np.nan_to_num(one.singular_peak))
+    if len(worst) > 1 and np.isfinite(singular.singular_peak):
+        at = f"at {singular.singular_peak_frequency:.4g} Hz"
+        notes.append(f"all axes together: largest singular value of S {singular.singular_peak:.3g} {at}; not judged")
     return Part(MARGINS_TITLE, tuple(worst.values()), tuple(notes), tuple(found))
 
 

@@ -1,23 +1,26 @@
 """API 617: response to unbalance - critical speeds, separation margins, vibration at the probes, running clearances.
 
 The unbalance of an analysis is U_a = 2 U_r, U_r = 6350 W / N [g mm], W: mass of the rotor [kg], N: maximum continuous
-speed [rpm]. The standard distributes it as the mode shapes are; here all of it stands in one plane after the other. At
-any place the response to any distribution of it, in phase or opposed, is at most the largest of these, since the
-response is linear and the parts add up to U_a.
+speed [rpm]. The standard distributes it as the mode shapes are. Amplitudes: all of it stands in one plane after the
+other. At any place the response to any distribution of it is at most the largest of these, since the response is linear
+and the parts add up to U_a. Critical speeds and amplification factors, of which that is not so, are read off these
+curves, and off those of equal parts in all planes, in phase and opposed in every combination. Modes that no plane
+excites are judged by their damping ratio: AF = 1 / (2 z) at the speed at which 1X meets them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
-from rotorsim.acceptance.conditions import Conditions
+from rotorsim.acceptance.conditions import HIGHEST_SHARE, Conditions, campbell_of
 from rotorsim.acceptance.criterion import API_684, MET, NOT_MET, Criterion, Part, judged, not_judged
 from rotorsim.acceptance.limits import ANALYSED, residual_unbalance, vibration_limit
+from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.free_rotor import free_rotor, mass_of
 from rotorsim.linear.loop import linear_system
 from rotorsim.linear.unbalance_response import UnbalanceResponse, plane_entries, unbalance_response
 from rotorsim.model.compiled import Model
@@ -25,19 +28,27 @@ from rotorsim.signals.orders.resonance import RESPONSIVE, Margin, Peak, peak_in,
 
 UNBALANCE_TITLE = "Response to unbalance"
 VIBRATION, SEPARATION, CLEARANCE = (f"{API_684}, SP6.8.2.{n}" for n in (8, 10, 12))
-LOWEST_SHARE, HIGHEST_SHARE = 0.02, 1.5  # of the trip speed, between which the response is computed
-SPEED_POINTS = 121  # speeds over all
-AROUND_A_POLE = np.linspace(-3, 3, 13)  # half widths: speeds at every pole, and again at every maximum found
-POLE_SPEEDS = 5  # at which the poles are looked at
+LOWEST_SHARE = 0.02  # of the trip speed, from which on the response is computed
+SPEED_POINTS = 81  # speeds over all
+NEAR_A_POLE = np.array(
+    [-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0]
+)  # half widths: speeds at every pole, and again at every maximum found
+TWINS = 1e-3  # relative distance of critical speeds of two planes
+RESOLUTION = 2e-4  # of the largest speed, between speeds around a maximum
+MOST_OPPOSED = 5  # planes, of which all combinations of signs are tried
+POLE_SPEEDS = 3  # at which the poles are looked at
 LARGEST_SCALE = 6.0  # S_cc at most
 CLEARANCE_SHARE = 0.75  # of the diametral clearance, that the scaled response may use
 
 
 @dataclass(frozen=True)
 class CriticalSpeedOfPlane:
-    """A maximum of the response to unbalance in a plane, at the probe with the largest amplification factor there."""
+    """A maximum of the response to unbalance, at the probe and distribution with the largest amplification factor.
 
-    plane: str
+    case: a plane that all of the unbalance is in, or the signs of equal parts: "+rotor.force[4] -rotor.force[6]".
+    """
+
+    case: str
     probe: str
     peak: Peak
     margin: Margin
@@ -48,7 +59,8 @@ class UnbalanceCases:
     """All of the unbalance [kg m] in one plane after the other; size (n, places, planes) [m]: 0-peak, major axis.
 
     places: of ``response.signals``; the first ``probes`` are probes. limit: A_vl [m], peak to peak. scale (planes,):
-    S_cc. clearance (places,) [m], radial; NaN: none given. operating, trip [rad/s]. critical: maxima of all planes.
+    S_cc. masses: rotor -> [kg]; unbalances (planes,) [kg m]. clearance (places,) [m], radial; NaN: none given.
+    operating, trip [rad/s]. critical: maxima of all distributions.
     """
 
     response: UnbalanceResponse
@@ -60,8 +72,8 @@ class UnbalanceCases:
     operating: tuple[float, float]
     trip: float
     critical: tuple[CriticalSpeedOfPlane, ...]
-    mass: float
-    unbalance: float
+    masses: Mapping[str, float]
+    unbalances: np.ndarray
 
 
 def unbalance_cases(model: Model, given: Conditions) -> Part:
@@ -75,25 +87,28 @@ def unbalance_cases(model: Model, given: Conditions) -> Part:
         )
     if not given.probes:
         return not_judged(UNBALANCE_TITLE, VIBRATION, what, "no controller sees two axes of a displacement")
-    return judged(UNBALANCE_TITLE, VIBRATION, what, lambda: _judged(_cases(model, given), given))
+    return judged(UNBALANCE_TITLE, VIBRATION, what, lambda: _judged(model, _cases(model, given), given))
 
 
 def _cases(model: Model, given: Conditions) -> UnbalanceCases:
-    mass = rotor_mass(model, given.planes[0]) if given.mass is None else given.mass
-    amount = ANALYSED * residual_unbalance(mass, given.highest)
+    rotors = [plane_entries(model.diagram, plane)[0].rpartition(".")[0] for plane in given.planes]
+    masses = {name: rotor_mass(model.diagram, name) if given.mass is None else given.mass for name in rotors}
+    amounts = ANALYSED * np.array([residual_unbalance(masses[name], given.highest) for name in rotors])
     places = [*given.probes, *(place for place in given.clearance if place not in given.probes)]
     ends = LOWEST_SHARE * given.trip, HIGHEST_SHARE * given.trip
     speeds = _speeds(model, ends, given)
     response = unbalance_response(model, given.planes, places, speeds=speeds)
-    near = _near_maxima(speeds, _sizes(response, amount), ends)
-    more = unbalance_response(model, given.planes, places, speeds=near) if len(near) else None
-    if more is not None:
-        response = _merged(response, more)
-    size, count = _sizes(response, amount), len(given.probes)
-    within = _within(response.speeds, given)
+    cases = _distributions(given.planes, amounts)
+    near = _near_maxima(speeds, np.stack([response.major_axis(one) for one in cases.values()], axis=-1), ends)
+    if len(near):
+        response = _merged(response, unbalance_response(model, given.planes, places, speeds=near))
+    count = len(given.probes)
+    curves = {name: response.major_axis(one)[:, :count] for name, one in cases.items()}
+    size = np.stack([response.major_axis(one) for one in np.diag(amounts)], axis=-1)
     limit = vibration_limit(given.highest)
     with np.errstate(divide="ignore"):
-        scale = np.minimum(limit / (2 * size[within][:, :count].max(axis=(0, 1))), LARGEST_SCALE)
+        largest = 2 * size[_within(response.speeds, given)][:, :count].max(axis=(0, 1))
+        scale = np.clip(limit / largest, 1.0, LARGEST_SCALE)
     return UnbalanceCases(
         response=response,
         size=size,
@@ -103,10 +118,21 @@ def _cases(model: Model, given: Conditions) -> UnbalanceCases:
         clearance=np.array([given.clearance.get(place, np.nan) for place in places]),
         operating=(given.lowest, given.highest),
         trip=given.trip,
-        critical=tuple(_critical(response, size[:, :count], given)),
-        mass=mass,
-        unbalance=amount,
+        critical=tuple(_critical(response, curves, given)),
+        masses=masses,
+        unbalances=amounts,
     )
+
+
+def _distributions(planes: Sequence[str], amounts: np.ndarray) -> dict[str, np.ndarray]:
+    """Return unbalances [kg m] by what they are called: all in one plane, and equal parts in phase and opposed."""
+    cases = dict(zip(planes, np.diag(amounts), strict=True))
+    if 1 < len(planes) <= MOST_OPPOSED:
+        for signs in product((1.0, -1.0), repeat=len(planes) - 1):
+            every = np.array([1.0, *signs])
+            name = " ".join(f"{'+' if sign > 0 else '-'}{plane}" for sign, plane in zip(every, planes, strict=True))
+            cases[name] = amounts * every / len(planes)
+    return cases
 
 
 def _within(speeds: np.ndarray, given: Conditions) -> np.ndarray:
@@ -114,21 +140,19 @@ def _within(speeds: np.ndarray, given: Conditions) -> np.ndarray:
     return np.asarray((speeds >= given.lowest * (1 - 1e-9)) & (speeds <= given.highest * (1 + 1e-9)))
 
 
-def _sizes(response: UnbalanceResponse, amount: float) -> np.ndarray:
-    """Return the major axis (n, places, planes) [m], 0-peak, of all the unbalance in each plane."""
-    each = np.eye(len(response.planes)) * amount
-    return np.stack([response.major_axis(one) for one in each], axis=-1)
-
-
 def _speeds(model: Model, ends: tuple[float, float], given: Conditions) -> np.ndarray:
     """Return speeds between two, those of operation, and others dense at every pole."""
-    found = [np.linspace(*ends, SPEED_POINTS), np.linspace(given.lowest, given.highest, 21), np.array([given.trip])]
+    found = [np.linspace(*ends, SPEED_POINTS), np.linspace(given.lowest, given.highest, 21)]
     for speed in np.linspace(*ends, POLE_SPEEDS):
         poles = linear_system(model, (), (), {"speed": float(speed)})[0].poles()
         poles = poles[(poles.imag > 0) & (np.abs(poles.real) < poles.imag)]
-        found.append((poles.imag[:, None] + np.abs(poles.real)[:, None] * AROUND_A_POLE).ravel())
-    speeds = np.unique(np.round(np.concatenate(found), 9))
-    return np.asarray(speeds[(speeds >= ends[0] - 1e-6) & (speeds <= ends[1] + 1e-6)])
+        found.append((poles.imag[:, None] + np.abs(poles.real)[:, None] * NEAR_A_POLE).ravel())
+    step = RESOLUTION * ends[1]
+    rounded = np.unique(np.round(np.concatenate(found) / step)) * step
+    rounded = rounded[(rounded >= ends[0]) & (rounded <= ends[1])]
+    exact = np.array([given.lowest, given.highest, given.trip])
+    rounded = rounded[np.abs(rounded[:, None] - exact).min(axis=1) > step / 2]
+    return np.unique(np.concatenate([rounded, exact]))
 
 
 def _near_maxima(speeds: np.ndarray, size: np.ndarray, ends: tuple[float, float]) -> np.ndarray:
@@ -140,13 +164,24 @@ def _near_maxima(speeds: np.ndarray, size: np.ndarray, ends: tuple[float, float]
             low, high = (one if np.isfinite(one) else peak.speed for one in (peak.lower, peak.upper))
             found.append(np.linspace(max(low - (high - low) / 4, ends[0]), min(high + (high - low) / 4, ends[1]), 25))
             found.append(np.linspace(speeds[k - 1], speeds[k + 1], 9))
-    near = np.unique(np.round(np.concatenate(found), 9)) if found else np.zeros(0)
-    return np.setdiff1d(near, speeds)
+    if not found:
+        return np.zeros(0)
+    step = RESOLUTION * ends[1]
+    near = np.unique(np.round(np.concatenate(found) / step)) * step
+    near = near[(near >= ends[0]) & (near <= ends[1])]
+    return np.asarray(near[np.abs(near[:, None] - speeds).min(axis=1) > step / 2])
 
 
 def _read(speeds: np.ndarray, curve: np.ndarray, k: int) -> Peak:
-    """Return the peak of a curve at a maximum; a half-power speed that it has not is as far away as the other."""
-    peak = replace(peak_in(speeds, curve, k), speed=_vertex(speeds, curve, k))
+    """Return the peak of a curve at a maximum, between the minima beside it.
+
+    A half-power speed that it does not fall to there is as far away as the other.
+    """
+    falls, rises = np.diff(curve[k:]) > 0, np.diff(curve[: k + 1]) < 0
+    last = k + int(np.argmax(falls)) if falls.any() else len(curve) - 1
+    first = int(np.flatnonzero(rises)[-1]) + 1 if rises.any() else 0
+    own = slice(first, last + 1)
+    peak = replace(peak_in(speeds[own], curve[own], k - first), speed=_vertex(speeds, curve, k))
     if np.isnan(peak.upper):
         return replace(peak, upper=2 * peak.speed - peak.lower)
     return replace(peak, lower=2 * peak.speed - peak.upper) if np.isnan(peak.lower) else peak
@@ -155,7 +190,8 @@ def _read(speeds: np.ndarray, curve: np.ndarray, k: int) -> Peak:
 def _vertex(speeds: np.ndarray, curve: np.ndarray, k: int) -> float:
     """Return where the parabola through a maximum and its neighbours is largest."""
     a, b, _ = np.polyfit(speeds[k - 1 : k + 2] - speeds[k], curve[k - 1 : k + 2] / curve[k], 2)
-    return float(speeds[k] - b / (2 * a)) if a < 0 else float(speeds[k])
+    top = float(speeds[k] - b / (2 * a)) if a < 0 else float(speeds[k])
+    return min(max(top, float(speeds[k - 1])), float(speeds[k + 1]))
 
 
 def _maxima(curve: np.ndarray) -> list[int]:
@@ -170,35 +206,37 @@ def _merged(one: UnbalanceResponse, other: UnbalanceResponse) -> UnbalanceRespon
     return replace(one, speeds=speeds[order], response=response, stable=stable)
 
 
-def _critical(response: UnbalanceResponse, size: np.ndarray, given: Conditions) -> Iterator[CriticalSpeedOfPlane]:
-    """Yield the critical speeds of each plane; maxima of several probes within one's half-power speeds are one."""
-    for j, plane in enumerate(response.planes):
-        found = []
-        for i, probe in enumerate(response.signals[: size.shape[1]]):
-            for k in _maxima(size[:, i, j]):
-                peak = _read(response.speeds, size[:, i, j], k)
+def _critical(
+    response: UnbalanceResponse, curves: Mapping[str, np.ndarray], given: Conditions
+) -> Iterator[CriticalSpeedOfPlane]:
+    """Yield the critical speeds: maxima within the half-power speeds of one with a larger AF are that one."""
+    found = []
+    for case, sizes in curves.items():
+        for i, probe in enumerate(response.signals[: sizes.shape[1]]):
+            for k in _maxima(sizes[:, i]):
+                peak = _read(response.speeds, sizes[:, i], k)
                 if np.isfinite(peak.amplification):
                     margin = separation_margin(peak.speed, peak.amplification, given.lowest, given.highest)
-                    found.append(CriticalSpeedOfPlane(plane, probe, peak, margin))
-        kept: list[CriticalSpeedOfPlane] = []
-        for one in sorted(found, key=lambda item: -item.peak.amplification):
-            if not any(other.peak.lower <= one.peak.speed <= other.peak.upper for other in kept):
-                kept.append(one)
-        yield from sorted(kept, key=lambda item: item.peak.speed)
+                    found.append(CriticalSpeedOfPlane(case, probe, peak, margin))
+    kept: list[CriticalSpeedOfPlane] = []
+    for one in sorted(found, key=lambda item: -item.peak.amplification):
+        if not any(other.peak.lower <= one.peak.speed <= other.peak.upper for other in kept):
+            kept.append(one)
+    yield from sorted(kept, key=lambda item: item.peak.speed)
 
 
-def _judged(found: UnbalanceCases, given: Conditions) -> Part:
+def _judged(model: Model, found: UnbalanceCases, given: Conditions) -> Part:
     speeds, count = found.response.speeds * 30 / np.pi, found.probes
-    words = f"U_a = {found.unbalance * 1e6:.4g} g mm: twice 6350 W / N, rotor of {found.mass:.4g} kg"
+    rotors = ", ".join(f"{name} of {mass:.4g} kg" for name, mass in found.masses.items())
+    amounts = ", ".join(dict.fromkeys(f"{amount * 1e6:.4g}" for amount in found.unbalances))
+    words = f"U_a = {amounts} g mm: twice 6350 W / N, {rotors}"
     ill = speeds[~found.response.stable & (found.response.speeds <= given.trip * (1 + 1e-9))]
     if len(ill):
         said = f"no settled response: unstable from {ill[0]:.5g} to {ill[-1]:.5g} rpm"
         failed = Criterion(VIBRATION, "response to unbalance", stated=NOT_MET, said=said)
         return Part(UNBALANCE_TITLE, (failed,), (words, *found.response.notes))
     made: list[Criterion] = []
-    inside = (found.response.speeds >= given.lowest * (1 - 1e-9)) & (
-        found.response.speeds <= given.highest * (1 + 1e-9)
-    )
+    inside = _within(found.response.speeds, given)
     for j, plane in enumerate(found.response.planes):
         curves = 2 * np.where(inside[:, None], found.size[:, :count, j], -np.inf)
         n, i = map(int, np.unravel_index(int(np.argmax(curves)), curves.shape))
@@ -207,6 +245,7 @@ def _judged(found: UnbalanceCases, given: Conditions) -> Part:
         largest, limit = float(curves[n, i]) * 1e6, found.limit * 1e6
         made.append(Criterion(VIBRATION, "A_max, peak to peak", where, largest, limit, "um", said=said))
     made += _separations(found)
+    made += _not_excited(model, found, given)
     below = found.response.speeds <= given.trip * (1 + 1e-9)
     for i in np.flatnonzero(np.isfinite(found.clearance)).tolist():
         scaled = 2 * found.size[:, i] * found.scale
@@ -221,44 +260,47 @@ def _judged(found: UnbalanceCases, given: Conditions) -> Part:
 
 def _separations(found: UnbalanceCases) -> Iterator[Criterion]:
     for one in found.critical:
-        af, margin = one.peak.amplification, one.margin
-        where = f"N_c {one.peak.speed * 30 / np.pi:.5g} rpm, AF {af:.3g}, {one.probe}, U_a at {one.plane}"
-        said = f"AF below {RESPONSIVE:g}: no margin needed" if af < RESPONSIVE else ""
-        what, needed = "separation margin", margin.required
-        yield Criterion(SEPARATION, what, where, margin.actual, needed, "%", at_most=False, said=said)
+        where = f"{one.probe}, U_a at {one.case}"
+        yield _separation(one.peak.speed, one.peak.amplification, one.margin, where)
     if not found.critical:
         top = f"0 to {found.response.speeds[-1] * 30 / np.pi:.5g} rpm"
         yield Criterion(SEPARATION, "separation margin", top, said="no critical speed", stated=MET)
 
 
-def rotor_mass(model: Model, plane: str) -> float:
-    """Return the mass [kg] of the rotor that a plane is on, from its traced equations.
+def _separation(speed: float, af: float, margin: Margin, where: str) -> Criterion:
+    words = f"N_c {speed * 30 / np.pi:.5g} rpm, AF {af:.3g}, {where}"
+    said = f"AF below {RESPONSIVE:g}: no margin needed" if af < RESPONSIVE else ""
+    return Criterion(SEPARATION, "separation margin", words, margin.actual, margin.required, "%", False, said=said)
 
-    Of one that is free without its bearings from its rigid modes; else from the accelerations that forces and moments
-    at all of its degrees of freedom make, M = (dq''/df)^-1. Raises RotorsimError where neither tells it.
+
+def _not_excited(model: Model, found: UnbalanceCases, given: Conditions) -> Iterator[Criterion]:
+    """Yield the separation of modes that 1X meets and that no unbalance brought out, by their damping ratios."""
+    if model.n_z:
+        return
+    crossings = [one for one in campbell_of(model, given).crossings if one.order == 1]
+    told = [(other.peak.lower, other.peak.upper) for other in found.critical]
+    for one in crossings:
+        near = [other for other in crossings if abs(other.speed - one.speed) <= TWINS * one.speed]
+        turns_back = one.whirl == "backward" and len(near) == 1  # of two at one speed the whirl is arbitrary
+        seen = any(low <= one.speed <= high for low, high in told)
+        if turns_back or seen or not 0 < one.damping_ratio < 1 / (2 * RESPONSIVE):
+            continue
+        told.append((one.speed * (1 - TWINS), one.speed * (1 + TWINS)))
+        af = 1 / (2 * one.damping_ratio)
+        words = f"mode of {one.frequency_hz:.4g} Hz, by its damping ratio: no plane excites it"
+        yield _separation(one.speed, af, separation_margin(one.speed, af, given.lowest, given.highest), words)
+
+
+def rotor_mass(diagram: Diagram, block: str) -> float:
+    """Return the mass [kg] of a rotor: of its drawing, or its parameter ``mass``.
+
+    Raises RotorsimError for a block that has neither.
     """
-    port = plane_entries(model.diagram, plane)[0]
-    block = port.rpartition(".")[0]
-    node = model.diagram.nodes[block]
-    ask = RotorsimError(Problem("its equations do not tell its mass", block, hint="give it: --mass '8.2 kg'"))
-    if "displacement" not in node.outputs:
-        raise ask
-    has_tilt = "moment" in node.inputs and "tilt" in node.outputs
-    signals = [f"{block}.displacement", *([f"{block}.tilt"] if has_tilt else [])]
-    forces = [port, *([f"{block}.moment"] if has_tilt else [])]
-    rotor = free_rotor(model, signals=signals, forces=forces)
-    if has_tilt and any(mode.rigid for mode in rotor.modes()):
-        first = "1,1" if len(node.outputs["displacement"].shape) == 2 else "1"
-        return mass_of(rotor, *(f"{name}[{first}]" for name in (*forces, *signals)))
-    along = [k for k, name in enumerate(rotor.forces) if name.startswith(tuple(f"{one}[" for one in forces))]
-    along = [k for k in along if rotor.forces[k].endswith(("[1]", ",1]")) and rotor.B[:, k].any()]
-    columns = rotor.B[:, along]
-    moved = columns.any(axis=1)
-    if np.count_nonzero(moved) != len(along):
-        raise ask
-    rows = [name for name in rotor.names if name.startswith(f"{block}.displacement") and name.endswith(("[1]", ",1]"))]
-    C = rotor.rows(rows)[:, moved]
-    if not C.any(axis=1).all():  # pinned nodes carry what the equations do not show
-        raise ask
-    translation = np.linalg.lstsq(C, np.ones(len(C)), rcond=None)[0] if has_tilt else np.ones(len(along))
-    return float(translation @ np.linalg.solve(columns[moved], translation))
+    node = diagram.nodes[block]
+    drawing = getattr(node.block, "drawing", None)
+    if drawing is not None:
+        return float(drawing(node.values).mass)
+    mass = node.values.get("mass")
+    if mass is None or np.size(mass) != 1:
+        raise RotorsimError(Problem("its mass is not known", block, hint="give it: --mass '8.2 kg'"))
+    return float(mass)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.linear.free_rotor import Bearing, FreeRotor, RotorMode, bearings_of, free_rotor
+from rotorsim.linear.free_rotor import Bearing, FreeRotor, RotorMode, bearings_of, downstream, free_rotor
 from rotorsim.linear.linearisation import as_model, entry_names, flat_names
 from rotorsim.linear.loop import SENSOR, arriving
 from rotorsim.model.compiled import Model
@@ -150,24 +150,9 @@ def controlled(diagram: Diagram) -> tuple[tuple[str, tuple[str, str], Bearing], 
         if node.block.category != "controller" or SENSOR not in node.inputs:
             continue
         signals = arriving(diagram, name, SENSOR)
-        driven = [bearings[other] for other in _downstream(diagram, name) if other in bearings]
+        driven = [bearings[other] for other in downstream(diagram, name) if other in bearings]
         if signals is None or len(signals) != 2 * len(driven):
             continue
         for k, bearing in enumerate(driven):
             made.append((name, (signals[2 * k], signals[2 * k + 1]), bearing))
     return tuple(made)
-
-
-def _downstream(diagram: Diagram, block: str) -> Sequence[str]:
-    """Return the blocks behind one, in the order of the parts of its outputs, up to bearings and rotors."""
-    found: dict[str, None] = {}
-    waiting = [block]
-    while waiting:
-        at = waiting.pop(0)
-        for wire in sorted((wire for wire in diagram.wires if wire.source.block == at), key=lambda w: w.source.index):
-            other = wire.target.block
-            if other not in found:
-                found[other] = None
-                if diagram.nodes[other].block.category not in ("bearing", "rotor", "controller"):
-                    waiting.append(other)
-    return list(found)

@@ -24,6 +24,7 @@ SPANNING = 24  # modes of each
 LEAST_SPEED = 0.1  # rad/s, about 1 rpm: below, a body that nothing holds is free but for rounding
 REAL_ROOT = 1e-6  # of |W^2|: imaginary part below which a root is a speed
 EQUAL_SPEEDS = 1e-5  # relative distance of equal critical speeds: of two planes that no gyroscopic moment tells apart
+MOVING = ("rotor", "casing", "bearing")  # categories of blocks that may move
 GRID = np.geomspace(0.1, 1e4, 501)  # Hz, at which the stiffness of a bearing is shown
 
 
@@ -111,7 +112,7 @@ def _crossings(
 
     def excess(hz: Any, of: Stiffness) -> np.ndarray:
         real = of(np.where(np.isfinite(hz), hz, 1.0)).real
-        return np.log(np.where((real > 0) & np.isfinite(hz), real, np.nan))
+        return np.asarray(np.log(np.where((real > 0) & np.isfinite(hz), real, np.nan)))
 
     for name, of in own.items():
         for m in range(speeds.shape[1]):
@@ -119,10 +120,16 @@ def _crossings(
             for j in np.flatnonzero(np.sign(away[:-1]) * np.sign(away[1:]) < 0):
 
                 def at(log: float, m: int = m, of: Stiffness = of) -> float:
-                    return float(excess(forward(float(np.exp(log)))[[m]] / (2 * np.pi), of)[0] - log)
+                    found = forward(float(np.exp(log)))
+                    return float(excess(found[[m]] / (2 * np.pi), of)[0] - log) if m < len(found) else np.nan
 
-                k = float(np.exp(brentq(at, log_k[j], log_k[j + 1], rtol=1e-12)))
-                yield name, k, float(forward(k)[m])
+                try:
+                    root = float(brentq(at, log_k[j], log_k[j + 1], rtol=1e-12))
+                except ValueError:  # a branch ends between the two
+                    continue
+                if abs(at(root)) < 1e-6:  # and not a change of sign through a pole of the stiffness
+                    k = float(np.exp(root))
+                    yield name, k, float(forward(k)[m])
 
 
 def _forward(stiff: np.ndarray, turning: np.ndarray, pairs: np.ndarray, highest: float) -> np.ndarray:
@@ -167,14 +174,14 @@ def bearing_stiffness(
 ) -> tuple[dict[str, Stiffness], tuple[str, ...]]:
     """Return the dynamic stiffness of every bearing in x, K = -F / u, with the rotor moved as a whole; and notes.
 
-    Its controller's probes move as its magnets do: displacements by u, velocities by i w u.
+    Its controller's probes move as its magnets do: displacements by u, velocities by i w u. Casings stand still.
     """
     drawn = diagram.diagram if isinstance(diagram, Model) else diagram
     moved = [
         f"{name}.{port}"
         for name, node in drawn.nodes.items()
         for port, one in node.outputs.items()
-        if node.block.category == "rotor" and one.unit in ("m", "m/s") and one.shape[-1:] == (2,)
+        if node.block.category in MOVING and one.unit in ("m", "m/s") and one.shape[-1:] == (2,)
     ]
     model = as_model(drawn, (), tuple(moved))
     if model.n_z:
@@ -183,7 +190,8 @@ def bearing_stiffness(
     forces = [bearing.force for bearing in rotor.bearings]
     system = linearise(model, parameters=parameters, inputs=moved, outputs=forces, at=at, open_loop=True)
     rates = np.array([unit == "m/s" for unit in system.input_units])
-    along_x = np.array([name.endswith(("[1]", ",1]")) for name in system.inputs])
+    turning = [drawn.nodes[name.partition(".")[0]].block.category == "rotor" for name in system.inputs]
+    along_x = np.array(turning) & [name.endswith(("[1]", ",1]")) for name in system.inputs]
 
     def of(row: int) -> Stiffness:
         one = StateSpace(system.A, system.B, system.C[[row]], system.D[[row]]).connected()

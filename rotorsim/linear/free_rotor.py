@@ -23,11 +23,11 @@ from rotorsim.linear.loop import arriving
 from rotorsim.linear.state_space import reached
 from rotorsim.model.compiled import Model
 
+ENDS = ("bearing", "rotor", "casing", "controller")  # categories at which the way of a signal ends
 FORCE, SEEN = "force", "displacement"  # ports of a bearing
 REFERENCE_SPEED = 100.0  # rad/s: gyroscopic terms are proportional to the speed
 ONE_FREQUENCY = 1e-6  # relative distance of squared natural frequencies that belong to one mode in several planes
-RIGID = 1e-4  # of the lowest squared natural frequency of a bent shaft: a rigid body has none
-RIGID_MODES = 4  # translation and tilt in two planes
+RIGID = 2 * np.pi  # rad/s, 1 Hz: below, a body that nothing holds is free but for rounding
 
 
 @dataclass(frozen=True)
@@ -40,16 +40,35 @@ class Bearing:
 
 
 def bearings_of(diagram: Diagram) -> tuple[Bearing, ...]:
-    """Return the bearings of a diagram: blocks of the category ``bearing`` with two axes and their force wired."""
-    used = {(wire.source.block, wire.source.port) for wire in diagram.wires}
+    """Return the bearings of a diagram: blocks of the category ``bearing`` with two axes whose force acts on a rotor.
+
+    Directly or through elementary blocks; one between a housing and the ground is none of the rotor's.
+    """
     found = []
     for name, node in diagram.nodes.items():
-        if node.block.category != "bearing" or (name, FORCE) not in used or SEEN not in node.inputs:
+        if node.block.category != "bearing" or SEEN not in node.inputs or FORCE not in node.outputs:
+            continue
+        if not any(diagram.nodes[other].block.category == "rotor" for other in downstream(diagram, name)):
             continue
         seen = arriving(diagram, name, SEEN)
         if seen is not None and len(seen) == 2 and node.outputs[FORCE].shape == (2,):
             found.append(Bearing(name, f"{name}.{FORCE}", (seen[0], seen[1])))
     return tuple(found)
+
+
+def downstream(diagram: Diagram, block: str) -> list[str]:
+    """Return the blocks behind one, in the order of the parts of its outputs, through elementary blocks and faults."""
+    found: dict[str, None] = {}
+    waiting = [block]
+    while waiting:
+        at = waiting.pop(0)
+        for wire in sorted((wire for wire in diagram.wires if wire.source.block == at), key=lambda w: w.source.index):
+            other = wire.target.block
+            if other not in found:
+                found[other] = None
+                if diagram.nodes[other].block.category not in ENDS:
+                    waiting.append(other)
+    return list(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +108,7 @@ class FreeRotor:
         values, left, right = eig(self.S, left=True)
         order = np.argsort(values.real)
         values, left, right = values.real[order], left[:, order], right[:, order]
-        first = 0
-        if len(values) > RIGID_MODES and np.abs(values[:RIGID_MODES]).max() < RIGID * values[RIGID_MODES]:
-            first = RIGID_MODES
+        first = int(np.count_nonzero(values < RIGID**2))
         bent = np.arange(first, len(values))
         starts = np.flatnonzero(np.diff(values[bent]) > ONE_FREQUENCY * np.abs(values[bent][1:])) + 1
         groups = [np.arange(first), *np.split(bent, starts)]
@@ -182,18 +199,3 @@ def _opened(
     A, B, C = (made[key](np.zeros((1, 1)), model.x0(p), model.z0(p), p)[0] for key in "ABC")
     require_finite(model, A)
     return A, B[:, columns], C
-
-
-def mass_of(rotor: FreeRotor, force: str, moment: str, displacement: str, tilt: str) -> float:
-    """Return the mass [kg] of a free rotor from its rigid modes: 1 / m = R_uf - R_um R_tf / R_tm at any one place.
-
-    R: residues of displacement u and tilt t to force f and moment m; with a the distance to the centre of gravity,
-    R_uf = 1/m + a^2/J, R_um = R_tf = a/J, R_tm = 1/J. Raises RotorsimError for a rotor that is not free.
-    """
-    rigid = [mode for mode in rotor.modes() if mode.rigid]
-    if not rigid:
-        raise RotorsimError(Problem("not free without its bearings: its mass is not seen", "rotor"))
-    u, t = rotor.rows([displacement])[0], rotor.rows([tilt])[0]
-    f, m = rotor.column(force), rotor.column(moment)
-    residue = rigid[0].residue
-    return 1 / (residue(u, f) - residue(u, m) * residue(t, f) / residue(t, m))

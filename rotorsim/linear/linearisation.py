@@ -127,6 +127,16 @@ def jacobians(model: Model, outputs: tuple[str, ...] = ()) -> dict[str, MatrixFu
     return known[outputs]
 
 
+_VARYING: WeakKeyDictionary[Model, bool] = WeakKeyDictionary()
+
+
+def _varies_in_time(model: Model) -> bool:
+    """Return whether the Jacobian depends on time; looked at once, since expressions may be long."""
+    if model not in _VARYING:
+        _VARYING[model] = bool(ca.depends_on(model.jacobian_expression, model.trace.t))
+    return _VARYING[model]
+
+
 def require_finite(model: Model, A: np.ndarray) -> None:
     """Raise RotorsimError, with the blocks, where a Jacobian (..., n, n) has entries that are not finite."""
     bad = ~np.isfinite(A.reshape(-1, *A.shape[-2:])).all(axis=(0, 2))
@@ -314,7 +324,7 @@ def linearise(
             raise RotorsimError(Problem(what=f"operating point has {x.size} entries, {model.n_x} expected"))
     made = jacobians(model, tuple(outputs))
     times = np.zeros(1)
-    if ca.depends_on(model.jacobian_expression, model.trace.t):
+    if _varies_in_time(model):
         times = _instants(model, p)
         how = "averaged over one turn" if len(times) > 1 else "taken at t = 0"
         notes.append(f"the Jacobian depends on time and was {how}; parametric resonance is not seen")

@@ -166,6 +166,11 @@ class Loop:
         between = [system.flow for system in loops if isinstance(system, SampledData)]
         return np.concatenate([system.poles() for system in (*loops, *between)])
 
+    def closed_poles(self) -> np.ndarray:
+        """Return the poles [1/s] of the closed loop; with samples, between hits too."""
+        between = [self.system.flow.poles()] if isinstance(self.system, SampledData) else []
+        return np.concatenate([self.system.poles(), *between])
+
     def _amplified(self, gain: float, axis: int) -> StateSpace | SampledData:
         """Return the loop with the signal of an axis, and its rate, amplified."""
         place = self._place[axis]

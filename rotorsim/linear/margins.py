@@ -130,6 +130,7 @@ def margins(
     parameters: Mapping[str, Any] | None = None,
     frequencies: Sequence[float] | np.ndarray | None = None,
     at: np.ndarray | None = None,
+    limits: bool = True,
 ) -> Margins:
     """Return sensitivity, open and closed loop and margins of every bearing axis, after ISO 14839-3.
 
@@ -138,8 +139,8 @@ def margins(
     times the speed, as the standard asks. ports: inputs (``controller.displacement``, default: of every controller), or
     outputs (``controller.current``). With the displacement of a controller its wired velocity is disturbed by dE/dt, as
     of a rate that is made of the sensor's signal. frequencies [Hz]: those of the curves; default: a grid that misses no
-    peak. at: operating point, see `linearise`. A loop with sampled blocks has its exact response at the frequency
-    injected.
+    peak. at: operating point, see `linearise`. limits: False leaves gain, phase and delay margins out. A loop with
+    sampled blocks has its exact response at the frequency injected.
 
     Raises RotorsimError for ports that do not exist or that no loop passes through, and as `linearise`.
     Source: ISO 14839-3:2006, Evaluation of stability margin.
@@ -149,12 +150,12 @@ def margins(
     loop = Loop(diagram, injections(drawn, named or sensor_ports(drawn)), parameters, at)
     speed = speed_of(loop.model, loop.model.parameter_vector(parameters)) or 0.0
     top = max(LARGEST_FREQUENCY, 3 * abs(speed) / (2 * np.pi))
-    hz, S = _judged(loop, top)
+    hz, S = _judged(loop, top, limits)
     diagonal = np.diagonal(S, axis1=1, axis2=2)
     if dead := np.flatnonzero(np.abs(diagonal - 1).max(axis=0) < 1e-12).tolist():
         hint = "name a port of the loop: the sensor's signal of a controller, or its output"
         raise RotorsimError(*(Problem("no loop passes through this port", loop.axes[k].name, hint=hint) for k in dead))
-    axes = tuple(_axis(loop, k, hz, diagonal[:, k], top) for k in range(len(loop.axes)))
+    axes = tuple(_axis(loop, k, hz, diagonal[:, k], top, limits) for k in range(len(loop.axes)))
     within = hz <= top
     singular_peak = np.nan, np.nan
     if loop.one_unit and loop.is_stable():
@@ -192,11 +193,14 @@ def _curves(loop: Loop, frequencies: Sequence[float] | np.ndarray) -> tuple[np.n
     return hz, loop.sensitivity(hz)
 
 
-def _judged(loop: Loop, top: float) -> tuple[np.ndarray, np.ndarray]:
+def _judged(loop: Loop, top: float, limits: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return frequencies [Hz] that miss no peak and no crossing, logarithmic and clustered at every pole, and S there.
 
     They reach beyond what the standard judges: a loop may have its margins there.
     """
+    if not limits:  # peaks up to the frequencies judged stand at poles of the closed loop
+        hz = np.union1d(frequencies_near(loop.closed_poles(), LOWEST_FREQUENCY, top), top)
+        return hz, loop.sensitivity(hz)
     poles = loop.poles()
     highest = max(top, WELL_ABOVE * float(np.abs(poles).max(initial=0.0)) / (2 * np.pi))
     if loop.is_sampled:  # above half of the fastest rate the response at one frequency tells no margin
@@ -205,12 +209,14 @@ def _judged(loop: Loop, top: float) -> tuple[np.ndarray, np.ndarray]:
     return hz, loop.sensitivity(hz)
 
 
-def _axis(loop: Loop, k: int, hz: np.ndarray, S: np.ndarray, top: float) -> Axis:
+def _axis(loop: Loop, k: int, hz: np.ndarray, S: np.ndarray, top: float, limits: bool) -> Axis:
     """Return peak and margins of one axis from S_kk on a grid, and in between."""
     if not loop.is_stable():
         return Axis(loop.axes[k].name, np.nan, np.nan, "D")
     within = hz <= top
     frequency, peak = _peak(hz[within], np.abs(S[within]), lambda f: float(abs(loop.sensitivity(f)[0, k, k])))
+    if not limits:
+        return Axis(loop.axes[k].name, peak, frequency, zone_of(peak))
     open_loop = open_loop_of(S)
 
     def excess(f: float) -> float:

@@ -15,6 +15,7 @@ from rotorsim.linear.linearisation import as_model, entry_names, flat_names, pro
 from rotorsim.linear.loop import growing_poles, linear_system
 from rotorsim.model.compiled import Model
 
+STABILITY_SPEEDS = 41  # at which poles are looked at for one that grows
 FORWARD = np.array([1.0, -1j])  # x = cos, y = sin of the shaft angle
 
 
@@ -23,7 +24,7 @@ class UnbalanceResponse:
     """Complex amplitudes to unbalances of 1 kg m at phase zero, one plane after the other; x(t) = Re(X exp(i W t)).
 
     speeds (n,) [rad/s]; planes: entries of rotor forces; signals: pairs (x, y); response (n, signals, planes, 2) [m];
-    stable (n,): whether the machine settles to it.
+    stable (n,): whether the machine settles to it, by its poles at 41 of the speeds.
     """
 
     speeds: np.ndarray
@@ -34,11 +35,11 @@ class UnbalanceResponse:
     notes: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
-    def to(self, unbalances: Sequence[complex]) -> np.ndarray:
+    def to(self, unbalances: Sequence[complex] | np.ndarray) -> np.ndarray:
         """Return amplitudes (n, signals, 2) to unbalances [kg m] in all planes at once, complex: with their phases."""
         return np.asarray(np.einsum("nspa,p->nsa", self.response, np.asarray(unbalances)))
 
-    def major_axis(self, unbalances: Sequence[complex]) -> np.ndarray:
+    def major_axis(self, unbalances: Sequence[complex] | np.ndarray) -> np.ndarray:
         """Return the largest displacement along the orbit, 0-peak (n, signals) [m]: (|X + iY| + |X - iY|) / 2."""
         motion = self.to(unbalances)
         return np.asarray((np.abs(motion @ [1, 1j]) + np.abs(motion @ [1, -1j])) / 2)
@@ -71,20 +72,29 @@ def unbalance_response(
     made: list[np.ndarray] = []
     stable: list[bool] = []
     notes: tuple[str, ...] = ()
-    for speed in values:
+    looked = set(np.linspace(0, len(values) - 1, min(len(values), STABILITY_SPEEDS)).round().astype(int).tolist())
+    for k, speed in enumerate(values):
         system, notes = linear_system(model, ports, names, {**(parameters or {}), "speed": float(speed)})
         G = system.response(speed / (2 * np.pi))[0][:, columns].reshape(len(signals), 2, len(planes), 2)
         made.append(np.einsum("sapb,b->spa", G, FORWARD) * speed**2)
-        stable.append(not len(growing_poles(system)))
+        if k in looked:
+            stable.append(not len(growing_poles(system)))
     return UnbalanceResponse(
         speeds=values,
         planes=tuple(planes),
         signals=tuple(signals),
         response=np.array(made),
-        stable=np.array(stable),
+        stable=_between(values, values[sorted(looked)], np.array(stable)),
         notes=notes,
         provenance=provenance(model, parameters, "unbalance_response"),
     )
+
+
+def _between(speeds: np.ndarray, looked: np.ndarray, stable: np.ndarray) -> np.ndarray:
+    """Return whether the machine is stable at speeds, as it is at both of the nearest that were looked at."""
+    above = np.minimum(np.searchsorted(looked, speeds), len(looked) - 1)
+    below = np.where(looked[above] > speeds, np.maximum(above - 1, 0), above)
+    return np.asarray(stable[above] & stable[below])
 
 
 def drawn_port(diagram: Diagram, name: str) -> Port:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,8 +16,8 @@ from rotorsim.acceptance.criterion import Criterion
 from rotorsim.acceptance.displacement import displacement_zone
 from rotorsim.acceptance.limits import residual_unbalance, vibration_limit
 from rotorsim.acceptance.unbalance import rotor_mass
-from rotorsim.model.compiled import compile_diagram
-from tests.acceptance.machines import jeffcott, stepped, stiff_rotor
+from tests.acceptance.machines import jeffcott, stepped
+from tests.blocks.test_amb_hardware import rigid
 
 RPM = np.pi / 30
 
@@ -93,7 +94,7 @@ def test_the_unbalance_response_critical_speed_and_separation_margin(disc: Accep
     margin = of(disc, "separation margin")[0]
     z = D / (2 * np.sqrt(K * M))
     peak = W0 / np.sqrt(1 - 2 * z**2)
-    assert margin.value == pytest.approx(100 * (peak - 500) / 500, rel=1e-5)
+    assert margin.value == pytest.approx(100 * (peak - 500) / 500, rel=1e-4)
     amplification = float(margin.where.split("AF ")[1].split(",")[0])
     assert amplification == pytest.approx(1 / (2 * z), rel=0.02)
     assert margin.limit == pytest.approx(10 + 17 * (1 - 1 / (amplification - 1.5)), rel=0.01)
@@ -104,7 +105,7 @@ def test_the_running_clearance_is_judged_up_to_the_trip_speed(disc: Acceptance) 
     amount = 2 * 6350e-6 * M / (500.0 / RPM)
     found = of(disc, "S_cc A, peak to peak")[0]
     z = D / (2 * np.sqrt(K * M))
-    assert found.value == pytest.approx(6 * 2e6 * response(W0 / np.sqrt(1 - 2 * z**2), amount), rel=1e-4)
+    assert found.value == pytest.approx(6 * 2e6 * response(W0 / np.sqrt(1 - 2 * z**2), amount), rel=2e-3)
     assert found.limit == pytest.approx(0.75 * 2 * 200.0)
 
 
@@ -139,11 +140,11 @@ def test_a_machine_that_is_unstable_meets_nothing() -> None:
     verdicts = {one.what: one.verdict for one in found.criteria}
     assert found.verdict == "not met"
     assert verdicts["D_max / C_min"] == verdicts["peak of |S|"] == verdicts["poles that grow"] == "not met"
-    assert of(found, "D_max / C_min")[0].said.startswith("no stable settled motion at 2864.79, ")
+    assert of(found, "D_max / C_min")[0].said.startswith("no stable settled motion at ")
     assert of(found, "log decrement")[0].verdict == "not met"
     assert of(found, "A_max, peak to peak") == of(found, "separation margin") == []
     refused = of(found, "response to unbalance")[0]
-    assert (refused.verdict, refused.said) == ("not met", "no settled response: unstable from 100.27 to 5013.4 rpm")
+    assert (refused.verdict, refused.said) == ("not met", "no settled response: unstable from 100.77 to 5013.4 rpm")
 
 
 def test_what_is_not_given_is_not_judged_and_says_why() -> None:
@@ -167,19 +168,29 @@ def test_a_sampled_controller_is_judged_by_its_exact_loop() -> None:
         assert of(sampled, what)[0].value != of(continuous, what)[0].value
 
 
-def test_mass_from_the_equations() -> None:
-    """The free shaft: rho A l of every element and its discs, as ROSS has it; a disc; a pinned shaft does not tell."""
-    assert rotor_mass(compile_diagram(load(stepped(1e6))), "rotor.force[4]") == pytest.approx(
-        6.211285566234946, rel=1e-8
-    )
-    assert rotor_mass(compile_diagram(load(jeffcott(4e5, 1.0))), "rotor.force") == pytest.approx(2.0, rel=1e-12)
-    fine = stiff_rotor(0.01, 0.02, 1e6)
-    fine["blocks"]["rotor"]["parameters"]["subdivisions"] = 3
-    whole = 4 + 785 * np.pi / 4 * 0.05**2 * 0.4
-    assert rotor_mass(compile_diagram(load(fine)), "rotor.force[2]") == pytest.approx(whole, rel=1e-5)
+def test_the_mass_is_that_of_the_drawing() -> None:
+    """The shaft: rho A l of every element and its discs, as ROSS has it; a disc."""
+    assert rotor_mass(load(stepped(1e6)), "rotor") == pytest.approx(6.211285566234946, rel=1e-12)
+    assert rotor_mass(load(jeffcott(4e5, 1.0)), "rotor") == 2.0
     with pytest.raises(RotorsimError) as caught:
-        rotor_mass(compile_diagram(load("fe_rigid")), "rotor.force[3]")
-    assert str(caught.value) == "error: rotor: its equations do not tell its mass\n\nhint: give it: --mass '8.2 kg'"
+        rotor_mass(load(jeffcott(4e5, 1.0)), "clock")
+    assert str(caught.value) == "error: clock: its mass is not known\n\nhint: give it: --mass '8.2 kg'"
+
+
+def test_each_rotor_has_the_unbalance_of_its_own_mass() -> None:
+    machine = jeffcott(4e5, 150.0)
+    for name in ("rotor", "controller", "amb"):
+        machine["blocks"][f"{name}2"] = copy.deepcopy(machine["blocks"][name])
+    machine["blocks"]["rotor2"]["parameters"]["mass"] = "20 kg"
+    machine["wires"] += [
+        [f"{one.split('.')[0]}2.{one.split('.')[1]}" for one in wire]
+        for wire in machine["wires"]
+        if wire[0].split(".")[0] in ("rotor", "controller", "amb")
+    ]
+    planes = ["rotor.force", "rotor2.force"]
+    found = accept(load(machine), operating=(300.0, 500.0), planes=planes, clearance=0.2e-3)
+    note = next(note for note in found.parts[2].notes if note.startswith("U_a"))
+    assert note == "U_a = 5.32, 53.2 g mm: twice 6350 W / N, rotor of 2 kg, rotor2 of 20 kg"
 
 
 @pytest.mark.parametrize(
@@ -257,10 +268,53 @@ def test_what_a_recording_shows(circle) -> None:
 
 
 def test_a_channel_without_a_mean_counts_from_its_mean(circle) -> None:
-    channels = {name: replace(one, coupling="ac") for name, one in circle.channels.items()}
-    found = accept(None, replace(circle, channels=channels), operating=(2900 * RPM, 3100 * RPM), clearance=0.2e-3)
-    assert of(found, "D_max / C_min")[0].value == pytest.approx(30e-6 / 0.2e-3, rel=1e-3)
-    assert "rotor.displacement: its mean was not measured; D_max counts from the mean" in found.parts[0].notes
+    """What it shows is a lower bound: the static position is not known."""
+    given = {"operating": (2900 * RPM, 3100 * RPM), "clearance": 0.2e-3}
+    both = {name: replace(one, coupling="ac") for name, one in circle.channels.items()}
+    found = of(accept(None, replace(circle, channels=both), **given), "D_max / C_min")[0]
+    assert found.value == pytest.approx(30e-6 / 0.2e-3, rel=1e-3)
+    assert (found.verdict, found.said) == (
+        "unsure",
+        "zone A: 30 um of 200 um; the mean of rotor.displacement[1] was not measured; "
+        "the mean of rotor.displacement[2] was not measured",
+    )
+    one = {**circle.channels, "y": replace(circle.channels["y"], coupling="ac")}
+    assert of(accept(None, replace(circle, channels=one), **given), "D_max / C_min")[0].value == pytest.approx(
+        0.35, rel=1e-4
+    )
+
+
+def test_a_single_probe_tells_its_vibration_and_no_more_of_the_displacement(circle) -> None:
+    alone = replace(circle, channels={"y": circle.channels["y"]})
+    found = accept(None, alone, operating=(2900 * RPM, 3100 * RPM), clearance=0.2e-3)
+    share, vibration = of(found, "D_max / C_min")[0], of(found, "vibration, peak to peak")[0]
+    assert (share.verdict, share.said) == ("unsure", "zone A: 30 um of 200 um; its x axis was not measured")
+    assert (vibration.value, vibration.verdict) == (pytest.approx(60.0, rel=1e-3), "not met")
+
+
+def test_samples_of_one_axis_count_where_the_other_is_missing(circle) -> None:
+    run = circle.runs[0]
+    values = {name: np.array(column) for name, column in run.values.items()}
+    values["x"][10], values["y"][10] = 300e-6, np.nan
+    gap = replace(circle, runs=(replace(run, values=values),))
+    found = accept(None, gap, operating=(2900 * RPM, 3100 * RPM), clearance=0.2e-3)
+    assert of(found, "D_max / C_min")[0].value == pytest.approx(1.5, rel=1e-6)
+
+
+def test_a_range_whose_largest_speed_was_not_recorded_is_not_judged(circle) -> None:
+    found = accept(None, circle, operating=(2000 * RPM, 8000 * RPM), clearance=0.4e-3)
+    assert [one.verdict for one in of(found, "D_max / C_min")] == ["met", "not judged"]
+    assert of(found, "D_max / C_min")[1].said == "3000 rpm is the largest operating speed that was recorded"
+
+
+def test_a_recording_of_another_machine_is_refused(circle) -> None:
+    channels = {name: replace(one, signal="shaft.displacement") for name, one in circle.channels.items()}
+    with pytest.raises(RotorsimError) as caught:
+        accept(load(jeffcott(4e5, 150.0)), replace(circle, channels=channels))
+    assert str(caught.value) == (
+        "error: measured: the diagram 'disc' has no shaft.displacement\n\n"
+        "hint: is it of this machine? recording.json names what its channels measure"
+    )
 
 
 def test_a_recording_at_no_operating_speed_is_not_judged(circle) -> None:
@@ -293,3 +347,55 @@ def test_a_critical_speed_whose_upper_half_power_speed_is_beyond_the_range() -> 
     assert cut[0].value == pytest.approx(whole[0].value, rel=1e-4)
     factors = [float(one.where.split("AF ")[1].split(",")[0]) for one in (cut[0], whole[0])]
     assert factors[0] == pytest.approx(factors[1], rel=0.1)
+
+
+# -- several planes and places -----------------------------------------------------------------------------------------
+
+
+def test_a_conical_mode_beside_a_well_damped_translation_is_told() -> None:
+    """Damping ratio 0.172, AF 2.9 by itself; in one plane its flank is lifted by the other mode, AF 1.6 as read."""
+    found = of(accept(load("two_amb_rotor"), operating=(4000 * RPM, 6500 * RPM), clearance=0.2e-3), "separation margin")
+    inside = [one for one in found if one.value == 0.0]
+    assert len(inside) == 1
+    assert 2.5 < float(inside[0].where.split("AF ")[1].split(",")[0]) < 2.9
+    assert inside[0].verdict == "not met"
+
+
+def test_a_mode_that_no_plane_excites_is_judged_by_its_damping() -> None:
+    """Unbalance at the node of the conical mode of a symmetric rotor does not show it."""
+    machine = rigid("pid", probes=(1, 5), kp=(1.2e4, 0.0), kd=(2.0, 0.0))
+    machine["blocks"]["rotor"]["parameters"]["element_length"] = [0.1, 0.1, 0.1, 0.1]
+    machine["parameters"]["speed"] = "300 rad/s"
+    given = {"operating": (300.0, 900.0), "planes": ["rotor.force[3]"], "clearance": 0.2e-3}
+    found = of(accept(load(machine), **given), "separation margin")
+    by_damping = [one for one in found if "by its damping ratio: no plane excites it" in one.where]
+    k, d = 2 * (40 * 1.2e4 - 1e5) * 0.2**2, 2 * 40 * 2.0 * 0.2**2
+    w, z = np.sqrt(k / 0.05), d / (2 * np.sqrt(k * 0.05))
+    assert len(by_damping) == 1
+    assert float(by_damping[0].where.split()[1]) * RPM == pytest.approx(w * np.sqrt(1 - z**2), rel=0.01)
+    assert (by_damping[0].value, by_damping[0].verdict) == (0.0, "not met")
+    assert float(by_damping[0].where.split("AF ")[1].split(",")[0]) == pytest.approx(1 / (2 * z), rel=0.02)
+
+
+def test_cross_couplings_act_together() -> None:
+    """Q_0 / Q of two planes at once is less than of either alone, nearly 1 / (1 / r_1 + 1 / r_2)."""
+    given = {"operating": (2000 * RPM, 2500 * RPM), "clearance": 0.2e-3}
+    planes = {"rotor.force[4]": 4.9e4, "rotor.force[6]": 4.9e4}
+    alone = [
+        of(accept(load("two_amb_rotor"), cross_coupling={plane: q}, **given), "Q_0 / Q_A")[0].value
+        for plane, q in planes.items()
+    ]
+    both = of(accept(load("two_amb_rotor"), cross_coupling=planes, **given), "Q_0 / Q_A")[0]
+    assert both.value == pytest.approx(1 / sum(1 / ratio for ratio in alone), rel=0.05)
+    assert both.verdict == "not met"
+
+
+def test_every_probe_needs_a_clearance_and_one_of_its_own_is_heard() -> None:
+    given = {"operating": (2000 * RPM, 2500 * RPM)}
+    found = accept(load("two_amb_rotor"), clearance={"rotor.displacement[3]": 0.2e-3}, **given)
+    assert [(one.where.split(" at")[0], one.verdict) for one in of(found, "D_max / C_min")] == [
+        ("rotor.displacement[3]", "met"),
+        ("rotor.displacement[7]", "not judged"),
+    ]
+    own = accept(load("two_amb_rotor"), clearance={"rotor.displacement[7]": 0.05e-3, "": 0.2e-3}, **given)
+    assert dict(own.conditions.clearance) == {"rotor.displacement[3]": 0.2e-3, "rotor.displacement[7]": 0.05e-3}

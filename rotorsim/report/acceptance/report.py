@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from rotorsim.report.page import Page, paragraph, table
 from rotorsim.report.provenance import document_hash, own_command, provenance_table, recording_rows
 from rotorsim.report.text.acceptance import CRITERION_COLUMNS, acceptance_data, cells, conditions_text
 
+LONGEST_NAME = 60  # of a file
 REPORT, DATA = "report.html", "acceptance.json"
 VERDICT_COLOURS = {MET: "#0b6b4f", NOT_MET: "#b33c00"}
 OTHER_COLOUR = "#7a5c00"
@@ -75,9 +77,14 @@ def _part(result: Acceptance, part: Part, number: int, page: Page) -> Iterator[s
         yield table(CRITERION_COLUMNS, [cells(one) for one in part.criteria], right=(3, 4))
     for one in part.results:
         for drawn in figures_of(one, Shown(result, part)):
-            yield page.figure(drawn._replace(name=f"{number}_{drawn.name}"))
+            yield page.figure(drawn._replace(name=f"{number}_{_file_name(drawn.name)}"))
         if isinstance(one, DampedModes):
             rows = [(f"{mode.frequency:.5g}", f"{mode.decrement:.3g}", mode.whirl or "-") for mode in one.modes]
             yield table(("damped frequency [Hz]", "log decrement", "whirl"), rows, right=(0, 1))
     for note in part.notes:
         yield paragraph(note, small=True)
+
+
+def _file_name(name: str) -> str:
+    """Return a name that any folder takes."""
+    return re.sub(r"[^\w-]", "_", name)[:LONGEST_NAME]

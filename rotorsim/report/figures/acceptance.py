@@ -26,6 +26,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P")
 OPERATING = "#e9eef5"
 MOST_SHAPES = 6
 SHOWN_SPEEDS = 6.0  # times the largest operating speed, up to which critical speeds are shown
+FEW_PLANES = 0.15  # of the length between planes: from there on the curve between two of them is a guess
 LEAST_TOP = 0.6  # of the clearance: zone D is seen
 
 
@@ -75,16 +76,13 @@ def unbalance_figure(found: UnbalanceCases, title: str = "") -> Figure:
         axes.plot([low, max(high, low * 1.01)], [found.limit * 1e6] * 2, color=RED, lw=1.6, label=limit)
         axes.axvline(rpm(found.trip), color=GREY, lw=0.8, ls=":", label="trip speed")
         for one in found.critical:
-            if one.plane == plane:
-                i = found.response.signals.index(one.probe)
-                size = 2e6 * np.interp(one.peak.speed, found.response.speeds, found.size[:, i, j])
-                text = f"N_c {rpm(one.peak.speed):.0f} rpm, AF {one.peak.amplification:.2f}"
-                axes.plot(rpm(one.peak.speed), size, "o", ms=5, mfc="white", mec=RED)
-                axes.annotate(
-                    text, (rpm(one.peak.speed), size), (4, 4), textcoords="offset points", fontsize=8, color=RED
-                )
+            axes.axvline(rpm(one.peak.speed), color=RED, lw=0.8, ls="--", label="critical speeds")
+            if j == 0:
+                at, text = rpm(one.peak.speed), f"{rpm(one.peak.speed):.0f} rpm\nAF {one.peak.amplification:.2f}"
+                form: Any = {"xycoords": ("data", "axes fraction"), "xytext": (3, -3), "textcoords": "offset points"}
+                axes.annotate(text, (at, 1.0), fontsize=8, color=RED, va="top", **form)
         axes.set(ylabel="displacement [um, peak-peak]", ylim=(0, None), xmargin=0)
-        axes.set_title(f"U_a = {found.unbalance * 1e6:.4g} g mm at {plane}", loc="left")
+        axes.set_title(f"U_a = {found.unbalances[j] * 1e6:.4g} g mm at {plane}", loc="left")
     panels[-1].set_xlabel("speed [rpm]")
     legend_below(made, panels[0], 3)
     return made
@@ -129,16 +127,22 @@ def mode_shapes_figure(found: FreeModes, diagram: Diagram, title: str = "") -> F
     at, unit = axial_positions(diagram, len(chosen[0].shape) if chosen else 0)
     for axes, one in zip(panels, chosen, strict=False):
         axes.axhline(0.0, color=GREY, lw=0.8)
+        top = 1.25
         if unit.endswith("[mm]") and len(one.slope) == len(at):
-            fine = np.linspace(at[0], at[-1], 400)
-            axes.plot(fine, CubicHermiteSpline(at, one.shape, one.slope / 1e3)(fine), "-", color=BLUE)
+            order = np.unique(at, return_index=True)[1]
+            fine = np.linspace(at.min(), at.max(), 400)
+            curve = CubicHermiteSpline(at[order], one.shape[order], one.slope[order] / 1e3)(fine)
+            few = np.diff(at[order]).max() > FEW_PLANES * np.ptp(at)
+            label = "between few planes: by displacement and slope" if few else None
+            axes.plot(fine, curve, ":" if few else "-", color=BLUE, lw=0.9 if few else 1.2, label=label)
             axes.plot(at, one.shape, ".", color=BLUE, ms=4)
+            top = max(top, 1.08 * float(np.abs(curve).max()))
         else:
             axes.plot(at, one.shape, "-", color=BLUE, marker=".", ms=4)
         for pair in pairs:
             if pair.mode == one.number:
                 _mark(axes, at, one, pair)
-        axes.set(ylim=(-1.25, 1.25), yticks=(-1, 0, 1))
+        axes.set(ylim=(-top, top), yticks=(-1, 0, 1))
         axes.set_title(f"mode {one.number}, {one.frequency:.4g} Hz", loc="left")
     panels[-1].set_xlabel(unit)
     made.supylabel("displacement, of the largest", fontsize=9)
@@ -165,7 +169,8 @@ def node_of(signal: str) -> int | None:
 def axial_positions(diagram: Diagram, count: int) -> tuple[np.ndarray, str]:
     """Return where the planes of the rotor are along the shaft, and what that is: [mm], or their numbers."""
     for node in diagram.nodes.values():
-        lengths = node.values.get("element_length")
-        if node.block.category == "rotor" and lengths is not None and count > 1:
-            return 1e3 * np.append(0.0, np.cumsum(np.broadcast_to(lengths, count - 1))), "along the shaft [mm]"
+        drawing = getattr(node.block, "drawing", None)
+        rows = [] if drawing is None else drawing(node.values).stations
+        if len(rows) == count > 1:
+            return 1e3 * np.array(rows), "along the shaft [mm]"
     return np.arange(1, count + 1), "plane of the rotor"

@@ -63,9 +63,11 @@ class CriticalSpeed:
     def separation(self, lowest: float, highest: float) -> tuple[Margin, str]:
         """Return the margin from operating speeds [rad/s], and "met", "not met", or "unsure" within both intervals."""
         margin = separation_margin(self.peak.speed, self.peak.amplification, lowest, highest)
+        low, high = self.interval90("speed")
+        speeds = [low, self.peak.speed, high, *(end for end in (lowest, highest) if low <= end <= high)]
         corners = [
             separation_margin(speed, amplification, lowest, highest).met
-            for speed in self.interval90("speed")
+            for speed in speeds
             for amplification in self.interval90("amplification")
         ]
         return margin, "met" if all(corners) else "not met" if not any(corners) else "unsure"

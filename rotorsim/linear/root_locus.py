@@ -1,0 +1,128 @@
+"""Root locus: the poles of the closed loop over values of a parameter, and where it becomes unstable."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rotorsim._shown import Shown
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.linear.eigenmodes import RESONANT
+from rotorsim.linear.linearisation import as_model, provenance
+from rotorsim.linear.loop import growing_poles, linear_system
+from rotorsim.model.compiled import Model
+
+LIMIT = 1e-9  # relative width to which a limit of stability is found
+
+
+@dataclass(frozen=True)
+class StabilityLimit:
+    """Value of the parameter at which a pole begins to grow, or ceases to; frequency [Hz] of that pole there."""
+
+    value: float
+    frequency: float
+
+
+@dataclass(frozen=True, repr=False)
+class RootLocus(Shown):
+    """Poles [1/s] (n, m), those with a positive imaginary part and real ones, NaN where there are fewer.
+
+    values (n,), ascending, SI, of a parameter of a unit. stable (n,). limits: between values of different stability.
+    """
+
+    parameter: str
+    unit: str
+    values: np.ndarray
+    poles: np.ndarray
+    stable: np.ndarray
+    limits: tuple[StabilityLimit, ...]
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure = "rotorsim.report.figures.root_locus:root_locus_figure"
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{one.value:.4g}" for one in self.limits) or "none"
+        return f"RootLocus({self.parameter}: {len(self.values)} values, limits of stability {found} {self.unit})"
+
+    def least_damped(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return frequency [Hz] and damping ratio of the least damped pole that oscillates, each (n,)."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = np.where(self.poles.imag > 0, -self.poles.real / np.abs(self.poles), np.inf)
+        ratio = np.where(np.isnan(ratio), np.inf, ratio)
+        least = ratio.argmin(axis=1)
+        rows = np.arange(len(self.values))
+        some = np.isfinite(ratio[rows, least])
+        frequency = np.where(some, self.poles[rows, least].imag / (2 * np.pi), np.nan)
+        return frequency, np.where(some, ratio[rows, least], np.nan)
+
+    @property
+    def resonant(self) -> np.ndarray:
+        """Which poles have a damping ratio below 1/sqrt(2), (n, m)."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray((self.poles.imag > 0) & (-self.poles.real < RESONANT * np.abs(self.poles)))
+
+
+def root_locus(
+    diagram: Diagram | Model,
+    parameter: str,
+    values: Sequence[float] | np.ndarray,
+    *,
+    parameters: Mapping[str, Any] | None = None,
+) -> RootLocus:
+    """Return the poles of the closed loop over values [SI] of a parameter, at the operating point of each.
+
+    Sampled loops have ln(mu) / T of the multipliers mu over their common period T, exactly. Between two values of which
+    one is stable the limit is found to 1e-9 of it.
+
+    Raises RotorsimError as `linearise`, for values that do not ascend, and for a parameter that does not exist.
+    Source: W. R. Evans, Trans. AIEE 67 (1948) 547-551.
+    """
+    grid = np.atleast_1d(np.asarray(values, float)).ravel()
+    if not (len(grid) and np.isfinite(grid).all() and (np.diff(grid) > 0).all()):
+        raise RotorsimError(Problem("values must be finite and ascending", parameter))
+    model = as_model(diagram)
+
+    def at(value: float) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+        system, notes = linear_system(model, (), (), {**(parameters or {}), parameter: float(value)})
+        poles = system.poles()
+        return poles[poles.imag >= 0], growing_poles(system), notes
+
+    found = [at(value) for value in grid]
+    most = max(len(poles) for poles, *_ in found)
+    table = np.full((len(grid), most), np.nan + 0j)
+    for row, (poles, *_) in zip(table, found, strict=True):
+        row[: len(poles)] = poles[np.argsort(np.abs(poles), kind="stable")]
+    stable = np.array([not len(grown) for _, grown, _ in found])
+    limits = []
+    for k in np.flatnonzero(stable[:-1] != stable[1:]):
+        low, high = grid[k], grid[k + 1]
+        while high - low > LIMIT * max(abs(low), abs(high)):
+            middle = (low + high) / 2
+            low, high = (middle, high) if (not len(at(middle)[1])) == stable[k] else (low, middle)
+        grown = at(low if stable[k + 1] else high)[1]
+        limits.append(StabilityLimit(float((low + high) / 2), float(abs(grown[0].imag) / (2 * np.pi))))
+    return RootLocus(
+        parameter=parameter,
+        unit=unit_of(model.diagram, parameter),
+        values=grid,
+        poles=table,
+        stable=stable,
+        limits=tuple(limits),
+        notes=tuple(dict.fromkeys(note for *_, notes in found for note in notes)),
+        provenance=provenance(model, parameters, "root_locus"),
+    )
+
+
+def unit_of(diagram: Diagram, name: str) -> str:
+    """Return the unit of a parameter of a diagram or of a block, "1" where it has none."""
+    if name in diagram.parameters:
+        return diagram.parameter_units.get(name) or "1"
+    block, _, key = name.rpartition(".")
+    node = diagram.nodes.get(block)
+    declared = node.block.parameters.get(key) if node else None
+    return (declared.unit if declared else None) or "1"

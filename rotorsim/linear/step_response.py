@@ -1,0 +1,183 @@
+"""Step response: what a signal does after a unit step at a port, with rise, overshoot and settling."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.linalg import expm
+
+from rotorsim._shown import Shown
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.linear.linearisation import as_model, entry_names, flat_names, given_units, provenance, units_of
+from rotorsim.linear.loop import growing_poles, linear_system
+from rotorsim.linear.sampled_data import SampledData
+from rotorsim.linear.state_space import StateSpace
+from rotorsim.model.compiled import Model
+
+POINTS_OF_STEP = 2001
+SLOWEST_DECAYS = 6.0  # time constants of the slowest pole, or periods of the slowest oscillation: default length
+SETTLED_BAND = 0.02  # of the final value, or of the largest where that is nearly zero, within which it has settled
+NEARLY_NOTHING = 0.01  # of the largest value: a final value that integral action makes zero
+
+
+@dataclass(frozen=True)
+class StepNumbers:
+    """Of one entry: final value, largest deviation from zero and its time [s], overshoot, rise and settling [s].
+
+    overshoot: of the final value; rise: from 10 to 90 % of it; both NaN where it is nearly zero. settling: time from
+    which on it stays within 2 % of the final value, or of the largest; NaN where it has not by the end.
+    """
+
+    output: str
+    input: str
+    final: float
+    largest: float
+    at: float
+    overshoot: float
+    rise: float
+    settling: float
+
+
+@dataclass(frozen=True, repr=False)
+class StepResponse(Shown):
+    """Response (n, outputs, inputs) over time (n,) [s] to a step of 1 SI at each input alone; numbers of each pair."""
+
+    time: np.ndarray
+    value: np.ndarray
+    outputs: tuple[str, ...]
+    inputs: tuple[str, ...]
+    units: tuple[tuple[str, str], ...]
+    stable: bool
+    numbers: tuple[StepNumbers, ...]
+    notes: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    _figure = "rotorsim.report.figures.linear:step_response_figure"
+
+    def __repr__(self) -> str:
+        pairs = ", ".join(f"{one.output} / {one.input}" for one in self.numbers[:4])
+        return f"StepResponse({self.provenance.get('diagram', '')}: {pairs}, {self.time[-1]:.4g} s)"
+
+
+def step_response(
+    diagram: Diagram | Model,
+    input: str,
+    output: str,
+    *,
+    stop: float | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    at: np.ndarray | None = None,
+) -> StepResponse:
+    """Return the response of a signal to a unit step added at a port, loops closed, linear about the operating point.
+
+    y(t) = C A^-1 (exp(A t) - I) B + D in equal steps, exactly; sampled blocks hit at t = 0 and see the step then. What
+    else drives the diagram is left out. stop [s]: default six time constants of the slowest pole.
+
+    Raises RotorsimError as `frequency_response`, and for a stop that is not positive.
+    """
+    if stop is not None and not (np.isfinite(stop) and stop > 0):
+        raise RotorsimError(Problem("must be positive and finite [s]", "stop"))
+    model = as_model(diagram, (input,))
+    system, notes = linear_system(model, (input,), (output,), parameters, at)
+    stable = not len(growing_poles(system))
+    end = _length(system.poles()) if stop is None else float(stop)
+    time, value = _sampled(system, end) if isinstance(system, SampledData) else _continuous(system, end)
+    given = model.trace.external[input]
+    outputs, inputs = tuple(flat_names(model, output)), tuple(entry_names(given.name, given.shape))
+    final = _final(system) if stable else np.full(value.shape[1:], np.nan)
+    numbers = [
+        _numbers(outputs[o], inputs[i], time, value[:, o, i], float(final[o, i]))
+        for o, i in np.ndindex(*value.shape[1:])
+    ]
+    pairs = tuple((above, below) for above in units_of(model, (output,)) for below in given_units(model, given))
+    return StepResponse(
+        time,
+        value,
+        outputs,
+        inputs,
+        pairs,
+        stable,
+        tuple(numbers),
+        notes,
+        provenance(model, parameters, "step_response"),
+    )
+
+
+def _length(poles: np.ndarray) -> float:
+    """Return how long a response is worth looking at [s]."""
+    rates = np.abs(poles.real)
+    moving = rates[rates > 1e-6 * np.abs(poles).max(initial=0.0)]
+    return float(SLOWEST_DECAYS / moving.min()) if len(moving) else 1.0
+
+
+def _propagator(flow: StateSpace, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return exp(A h) and the integral of exp(A t) B over h."""
+    n, m = flow.B.shape
+    whole = expm(np.block([[flow.A, flow.B], [np.zeros((m, n + m))]]) * length)
+    return whole[:n, :n], whole[:n, n:]
+
+
+def _continuous(system: StateSpace, end: float) -> tuple[np.ndarray, np.ndarray]:
+    time = np.linspace(0.0, end, POINTS_OF_STEP)
+    P, Q = _propagator(system, time[1])
+    x, values = np.zeros_like(system.B), []
+    for _ in time:
+        values.append(system.C @ x + system.D)
+        x = P @ x + Q
+    return time, np.array(values)
+
+
+def _sampled(system: SampledData, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the response at every hit, and in the middle between hits."""
+    flow, halves = system.flow, {}
+    x, values, times = np.zeros_like(flow.B), [], []
+    start = 0.0
+    while start <= end:
+        for k, (J, K) in enumerate(system.jumps):
+            length = float(system.lengths[k])
+            if length not in halves:
+                halves[length] = _propagator(flow, length / 2)
+            P, Q = halves[length]
+            x = J @ x + K
+            for part in (0.0, 0.5):
+                times.append(start + system.times[k] + part * length)
+                values.append(flow.C @ x + flow.D)
+                x = P @ x + Q
+        start += system.period
+    return np.array(times), np.array(values)
+
+
+def _final(system: StateSpace | SampledData) -> np.ndarray:
+    """Return what is left in the end, (outputs, inputs); of sampled loops at the hit of a period."""
+    if not isinstance(system, SampledData):
+        x = np.linalg.lstsq(system.A, -system.B, rcond=None)[0]
+        return np.asarray(system.C @ x + system.D)
+    M, g = np.eye(len(system.flow.A)), np.zeros_like(system.flow.B)
+    for k, (J, K) in enumerate(system.jumps):
+        P, Q = _propagator(system.flow, float(system.lengths[k]))
+        M, g = P @ J @ M, P @ (J @ g + K) + Q
+    s = np.linalg.lstsq(np.eye(len(M)) - M, g, rcond=None)[0]
+    J, K = system.jumps[0]
+    return np.asarray(system.flow.C @ (J @ s + K) + system.flow.D)
+
+
+def _numbers(output: str, input: str, time: np.ndarray, value: np.ndarray, final: float) -> StepNumbers:
+    top = int(np.argmax(np.abs(value)))
+    largest = float(value[top])
+    if not np.isfinite(final) or not largest:
+        return StepNumbers(output, input, final, largest, float(time[top]), np.nan, np.nan, np.nan)
+    counts = abs(final) > NEARLY_NOTHING * abs(largest)
+    overshoot = max(float((value / final).max()) - 1, 0.0) if counts else np.nan
+    outside = np.abs(value - final) > SETTLED_BAND * (abs(final) if counts else abs(largest))
+    last = int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 0
+    settling = float(time[last]) if last < len(time) else np.nan
+    rise = np.nan
+    if counts:
+        share = value / final
+        low, high = (int(np.argmax(share >= part)) if (share >= part).any() else -1 for part in (0.1, 0.9))
+        rise = float(time[high] - time[low]) if high >= 0 else np.nan
+    return StepNumbers(output, input, float(final), largest, float(time[top]), overshoot, rise, settling)
