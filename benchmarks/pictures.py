@@ -81,6 +81,7 @@ DRAWN: dict[str, Callable[[], Figure]] = {
 PICTURES = {
     "jeffcott.png": Picture(("run jeffcott --plot jeffcott.png",), "jeffcott.png"),
     "diagram.svg": Picture(("draw jeffcott -o diagram.svg",), "diagram.svg"),
+    "shaft.png": Picture(("draw drawn_rotor --shaft --out shaft.png",), "shaft.png"),
     "campbell.png": Picture(
         ('campbell fe_rigid --without amb --speeds "0 rpm:500 rpm:9000 rpm" --plot campbell.png',), "campbell.png"
     ),
@@ -107,6 +108,16 @@ PICTURES = {
         f"acceptance_{name}.png": Picture((ACCEPTED,), f"acceptance/{number}_{name}.png")
         for number, name in ((3, "unbalance"), (5, "map"), (6, "shapes"))
     },
+    "blower_unbalance.png": Picture(
+        (
+            "new blower --from drawn_rotor",
+            'accept blower.json --operating "6000 rpm:9000 rpm" --clearance "0.25 mm" --out acceptance',
+        ),
+        "acceptance/3_unbalance.png",
+    ),
+    "root_locus.png": Picture(
+        ('modes two_amb_rotor --vary "controller_a.KD=0:0.25:20" --plot locus.png',), "locus.png"
+    ),
     "margins.png": Picture(("margins two_amb_rotor --plot margins.png",), "margins.png"),
     "margins_measured.png": Picture((INJECTED, "margins swept --beside jeffcott --plot measured.png"), "measured.png"),
     "orders_bode.png": Picture(

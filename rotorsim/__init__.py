@@ -50,6 +50,7 @@ _HOME = {
     "periodic": "settled.periodic",
     "reconstruction_error": "signals.spectrum",
     "resonance_peaks": "signals.envelopes",
+    "root_locus": "linear.root_locus",
     "run_up": "signals.envelopes",
     "save": "simulation.files",
     "save_diagnosis": "diagnosis.files",
@@ -62,6 +63,7 @@ _HOME = {
     "simulate": "simulation.run",
     "simulate_as_recorded": "identification.as_recorded",
     "simulate_many": "simulation.ensemble.many",
+    "step_response": "linear.step_response",
     "tracked_recording": "signals.orders.extraction",
 }
 __all__ = ["__version__", *_HOME]

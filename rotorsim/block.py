@@ -114,6 +114,7 @@ class In(Declaration):
 
     optional: may be left unwired; ``u.<name>`` is then ``None``.
     additive: any number of wires, also none; their sum is the input (forces on a rotor).
+    by_parts: wires may lead to its parts, as ``[1]``, each of them one; together they make up all of it.
     conjugate: output port on whose rate this input does work (displacement for a force, tilt for a moment):
     there an equivalent force can be found from measured motion.
     many: name of an option that says how many ports there are: a whole number n (or a text of n letters,
@@ -123,6 +124,7 @@ class In(Declaration):
 
     optional: bool = False
     additive: bool = False
+    by_parts: bool = False
     conjugate: str | None = None
     many: str | None = None
 
@@ -155,16 +157,24 @@ class Param(Declaration):
 class Option(Declaration):
     """Declare an option that fixes structure (a count, a list of nodes, a law by name); it is compiled in.
 
-    kind: type of the value, or of the entries when the default is a list; choices: allowed values;
-    low, high: bounds of integers (or of each entry of a list of integers).
+    kind: type of the value, or of the entries of a list; choices: allowed values; low, high, above: bounds of a number,
+    or of each entry of a list, as of `Param`. unit: of a number (kind float), which may be a text with a unit then.
+    listed: it is a list, where no default says so (default None: it must be given).
     """
 
     default: Any = None
     _: KW_ONLY
     choices: tuple[Any, ...] | None = None
     kind: type | tuple[type, ...] | None = None
-    low: int | None = None
-    high: int | None = None
+    low: float | None = None
+    high: float | None = None
+    above: float | None = None
+    listed: bool = False
+
+    @property
+    def is_list(self) -> bool:
+        """Whether the value is a list."""
+        return self.listed or isinstance(self.default, list | tuple)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -319,6 +329,14 @@ class Block:
 
     def check(self, values: Mapping[str, np.ndarray]) -> list[str]:
         """Return messages on options and parameter values that contradict one another (default: none)."""
+        return []
+
+    def check_given(self, given: Mapping[str, np.ndarray]) -> list[tuple[str, tuple[int, ...], str, str]]:
+        """Return mistakes in options and in the parameters given (default: none), each where it is written.
+
+        A mistake is the name of the option or parameter, the indices in its list, what is wrong, and a hint. They are
+        told beside all other mistakes of the diagram. given: SI arrays as written, without defaults, of any shape.
+        """
         return []
 
     def holds_below(self, p: Any) -> Mapping[str, float]:

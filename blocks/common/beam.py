@@ -5,11 +5,21 @@ Source: Friswell, Penny, Garvey & Lees, Dynamics of Rotating Machines (2010), se
 thesis Appendix B is the case without shear and rotary inertia.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from math import sqrt
 from typing import Any
 
 Table = list[list[Any]]
 BAND = 3  # off-diagonals of a chain of beam elements in one plane
+_MINOR, _MAJOR = (sqrt(5 - s * 2 * sqrt(10 / 7)) / 6 for s in (1, -1))
+_WEIGHTS = [(322 + s * 13 * sqrt(70)) / 1800 for s in (1, -1)]
+GAUSS = [  # points and weights on [0, 1], exact for polynomials of degree 9
+    (0.5 - _MAJOR, _WEIGHTS[1]),
+    (0.5 - _MINOR, _WEIGHTS[0]),
+    (0.5, 64 / 225),
+    (0.5 + _MINOR, _WEIGHTS[0]),
+    (0.5 + _MAJOR, _WEIGHTS[1]),
+]
 
 
 def entry(values: Any, k: int) -> Any:
@@ -53,6 +63,56 @@ def rotary_mass(rho_i: Any, length: Any, phi: Any) -> Table:
     return [[m7, m8, -m7, m8], [m8, m9, -m8, m10], [-m7, -m8, m7, -m8], [m8, m10, -m8, m9]]
 
 
+def shapes(length: Any, phi: Any, distance: Any) -> tuple[list[Any], list[Any]]:
+    """Return the rows by which the ends give displacement and slope at a distance from the first end.
+
+    They are exact for a beam loaded at its ends only, and those of the mass matrices above.
+    """
+    xi, f = distance / length, 1 / (1 + phi)
+    half = phi / 2 * (xi - xi**2)
+    across = [
+        f * (1 - 3 * xi**2 + 2 * xi**3 + phi * (1 - xi)),
+        f * length * (xi - 2 * xi**2 + xi**3 + half),
+        f * (3 * xi**2 - 2 * xi**3 + phi * xi),
+        f * length * (-(xi**2) + xi**3 - half),
+    ]
+    bend = 6 * f / length * (xi - xi**2)
+    slope = [-bend, f * (1 - 4 * xi + 3 * xi**2 + phi * (1 - xi)), bend, f * (-2 * xi + 3 * xi**2 + phi * xi)]
+    return across, slope
+
+
+def conical(
+    modulus: Any,
+    density: Any,
+    length: Any,
+    phi: Any,
+    middle: tuple[Any, Any],
+    section: Callable[[float], tuple[Any, Any]],
+) -> tuple[Table, Table, Table]:
+    """Return stiffness, mass of translation and mass of rotary inertia of an element whose section varies.
+
+    section: area and second moment at a fraction of the length, polynomials of degree 2 and 4, so that the quadrature
+    is exact; middle: those in the middle, which phi is of. Shapes are those of a cylinder with this phi.
+    """
+    tables: tuple[Table, Table, Table] = tuple([[0.0] * 4 for _ in range(4)] for _ in range(3))
+    f, (area_m, second_m) = 1 / (1 + phi), middle
+    shear = [-f * phi / length, -f * phi / 2, f * phi / length, -f * phi / 2]
+    for xi, weight in GAUSS:
+        area, second = section(xi)
+        across, slope = shapes(length, phi, xi * length)
+        bend = 6 * f / length**2 * (1 - 2 * xi)
+        curvature = [-bend, f / length * (6 * xi - 4 - phi), bend, f / length * (6 * xi - 2 + phi)]
+        # kappa G A = 12 E I / (phi l^2) in the middle, in proportion to the area elsewhere; phi^2 is in the shapes
+        slip = 0.0 if _is_zero(phi) else 12 * modulus * second_m / (phi * length**2) * area / area_m
+        for i in range(4):
+            for j in range(4):
+                strain = modulus * second * curvature[i] * curvature[j] + slip * shear[i] * shear[j]
+                parts = strain, density * area * across[i] * across[j], density * second * slope[i] * slope[j]
+                for table, part in zip(tables, parts, strict=True):
+                    table[i][j] = table[i][j] + weight * length * part
+    return tables
+
+
 class Banded:
     """A symmetric matrix of `BAND` off-diagonals: rows[i][k] is entry (i, i - k)."""
 
@@ -64,6 +124,19 @@ class Banded:
         """Add to entry (i, j) and (j, i); entries above the diagonal are ignored."""
         if i >= j:
             self.rows[i][i - j] = self.rows[i][i - j] + value
+
+    def scaled(self, factor: Any) -> "Banded":
+        """Return the matrix times a number."""
+        return self._mapped(lambda i, k: self.rows[i][k] if _is_zero(self.rows[i][k]) else factor * self.rows[i][k])
+
+    def plus(self, other: "Banded") -> "Banded":
+        """Return the sum with a matrix of the same size."""
+        return self._mapped(lambda i, k: self.rows[i][k] + other.rows[i][k])
+
+    def _mapped(self, entry_at: Callable[[int, int], Any]) -> "Banded":
+        made = Banded(self.size)
+        made.rows = [[entry_at(i, k) for k in range(len(row))] for i, row in enumerate(self.rows)]
+        return made
 
     def times(self, v: Sequence[Any]) -> list[Any]:
         """Return the product with a vector."""

@@ -54,7 +54,7 @@ class ShaftBow(Block):
     element_length = Param(0.1, shape=("elements",), unit="m", above=0.0, doc="length of each element, or of all")
     outer_diameter = Param(0.016, shape=("elements",), unit="m", above=0.0, doc="outer diameter of each element")
     inner_diameter = Param(0.0, shape=("elements",), unit="m", low=0.0, doc="inner diameter of each element")
-    young_modulus = Param(2.1e11, unit="N/m^2", above=0.0, doc="modulus of elasticity")
+    young_modulus = Param(2.1e11, shape=("elements",), unit="N/m^2", above=0.0, doc="modulus of elasticity")
     shapes = (
         Param(1e-6, name="amplitude1", unit="m", low=0.0, doc="size of the first shape, one half wave"),
         Param(0.0, name="phase1", unit="rad", doc="its angle against the phase reference"),
@@ -79,8 +79,9 @@ class ShaftBow(Block):
             turned = getattr(p, f"amplitude{k}") * plane.unit(u.theta + getattr(p, f"phase{k}"))
             loads: list[Any] = [0.0] * len(bent)
             for e, length in enumerate(lengths):
-                outer, inner = (beam.entry(v, e) for v in (p.outer_diameter, p.inner_diameter))
-                table = beam.stiffness(p.young_modulus * pi / 64 * (outer**4 - inner**4), length, 0.0)
+                sizes = (p.outer_diameter, p.inner_diameter, p.young_modulus)
+                outer, inner, modulus = (beam.entry(v, e) for v in sizes)
+                table = beam.stiffness(modulus * pi / 64 * (outer**4 - inner**4), length, 0.0)
                 for i, row in enumerate(table):
                     loads[2 * e + i] += sum(a * b for a, b in zip(row, bent[2 * e : 2 * e + 4], strict=True))
             for i, load in enumerate(loads):

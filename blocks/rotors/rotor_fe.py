@@ -1,14 +1,17 @@
 """Rotor of beam elements with discs."""
 
-from itertools import accumulate
-from math import pi
+from dataclasses import replace
+from itertools import accumulate, pairwise
 from typing import Any
 
-from rotorsim.blocks.common import beam
-from rotorsim.blocks.common.beam import Banded, solve_factored
+from rotorsim.blocks.common.beam import entry
+from rotorsim.blocks.common.drawing import Drawing, Section, equivalent_disc, full
+from rotorsim.blocks.common.shaft import Beam, Place, Shaft, divided
 
-from rotorsim.block import Block, Equations, In, Option, Out, Param, State, matrix
+from rotorsim.block import Block, In, Option, Out, Param, State
 from rotorsim.fault import Fault
+
+_SLEEVE = ("outer_diameter", "inner_diameter", "young_modulus", "density", "poisson_ratio")
 
 
 def _nodes(option: Any) -> tuple[int, int]:
@@ -27,7 +30,8 @@ class RotorFe(Block):
     q: displacement and slope of every node in the planes of x and y (slope = du/dz). With q_1 + i q_2 the
     gyroscopic term is -i W G q', which raises forward modes; the thesis' eq. (3.2) has the opposite sign.
     Element matrices: Euler-Bernoulli or Timoshenko, consistent mass; shaft rotary inertia and shaft
-    gyroscopic moments are options. Nodes count from 1 along the shaft. Rayleigh damping acts on the
+    gyroscopic moments are options. A conical element has the shapes of the cylinder of its middle; a sleeve adds its
+    own matrices to those of its element. Nodes count from 1 along the shaft. Rayleigh damping acts on the
     elements of the shaft, eq. (C.4), disc_damping on the displacement of each disc. M is factored once (banded
     L D L^T); cost grows linearly with elements.
     """
@@ -64,12 +68,27 @@ class RotorFe(Block):
     point_discs = Option(False, kind=bool, doc="leave out the rotary inertia of the discs")
     disc_nodes = Option([3], kind=int, low=1, doc="nodes that carry a disc")
     pinned_nodes = Option([], kind=int, low=1, doc="nodes whose displacement is held at zero")
+    conical_elements = Option([], kind=int, low=1, doc="elements whose diameters change evenly along them; from 1")
+    sleeve_elements = Option([], kind=int, low=1, doc="elements that a sleeve is shrunk on, in parallel; from 1")
     element_length = Param(0.1, shape=("elements",), unit="m", above=0.0, doc="length of each element, or of all")
     outer_diameter = Param(0.016, shape=("elements",), unit="m", above=0.0, doc="outer diameter of each element")
     inner_diameter = Param(0.0, shape=("elements",), unit="m", low=0.0, doc="inner diameter of each element")
-    young_modulus = Param(2.1e11, unit="N/m^2", above=0.0, doc="modulus of elasticity (not printed in the thesis)")
-    density = Param(7850.0, unit="kg/m^3", above=0.0, doc="density of the shaft")
-    poisson_ratio = Param(0.3, low=0.0, high=0.5, doc="Poisson's ratio (theory timoshenko)")
+    end_outer_diameter = Param(
+        0.016, shape=("conical_elements",), unit="m", above=0.0, doc="outer diameter at the end of each conical element"
+    )
+    end_inner_diameter = Param(
+        0.0, shape=("conical_elements",), unit="m", low=0.0, doc="inner diameter at the end of each conical element"
+    )
+    young_modulus = Param(
+        2.1e11, shape=("elements",), unit="N/m^2", above=0.0, doc="modulus of elasticity (not printed in the thesis)"
+    )
+    density = Param(7850.0, shape=("elements",), unit="kg/m^3", above=0.0, doc="density of the shaft")
+    poisson_ratio = Param(0.3, shape=("elements",), above=-1.0, high=0.5, doc="Poisson's ratio (theory timoshenko)")
+    sleeve_outer_diameter = Param(0.1, shape=("sleeve_elements",), unit="m", above=0.0, doc="of each sleeve")
+    sleeve_inner_diameter = Param(0.05, shape=("sleeve_elements",), unit="m", low=0.0, doc="of each sleeve")
+    sleeve_young_modulus = Param(2.1e11, shape=("sleeve_elements",), unit="N/m^2", above=0.0, doc="of each sleeve")
+    sleeve_density = Param(7850.0, shape=("sleeve_elements",), unit="kg/m^3", low=0.0, doc="of each sleeve")
+    sleeve_poisson_ratio = Param(0.3, shape=("sleeve_elements",), above=-1.0, high=0.5, doc="of each sleeve")
     disc_mass = Param(2.0, shape=("disc_nodes",), unit="kg", low=0.0, doc="mass of each disc")
     disc_polar_inertia = Param(0.0045, shape=("disc_nodes",), unit="kg m^2", low=0.0, doc="I_p of each disc")
     disc_diametral_inertia = Param(0.0024, shape=("disc_nodes",), unit="kg m^2", low=0.0, doc="I_d of each disc")
@@ -93,104 +112,81 @@ class RotorFe(Block):
         ]
         if len(set(self.option.pinned_nodes)) != len(self.option.pinned_nodes):
             problems.append("pinned_nodes names a node twice")
-        if not (values["inner_diameter"] < values["outer_diameter"]).all():
-            problems.append("inner_diameter must be smaller than outer_diameter")
+        count = self.option.elements
+        problems += [
+            f"{name} has element {e}; the rotor has elements 1 to {count}"
+            for name in ("conical_elements", "sleeve_elements")
+            for e in getattr(self.option, name)
+            if not 1 <= e <= count
+        ]
+        if len(set(self.option.conical_elements)) != len(self.option.conical_elements):
+            problems.append("conical_elements names an element twice")
+        there = {"": True, "end_": self.option.conical_elements, "sleeve_": self.option.sleeve_elements}
+        for prefix in (prefix for prefix, any_there in there.items() if any_there):
+            if not (values[f"{prefix}inner_diameter"] < values[f"{prefix}outer_diameter"]).all():
+                problems.append(f"{prefix}inner_diameter must be smaller than {prefix}outer_diameter")
         return problems
 
-    def equations(self, p, u, x, t):
-        free = self._free_numbers()
-        mass, gyroscopic, stiffness, disc = self._matrices(p, free)
-        lower, inverse_d = mass.factor()
-        q = [x.position[:, plane].elements() for plane in (0, 1)]
-        v = [x.velocity[:, plane].elements() for plane in (0, 1)]
-        loads = [self._loads(u, free, plane) for plane in (0, 1)]
-        spin = [[u.speed * g for g in gyroscopic.times(v[1])], [-u.speed * g for g in gyroscopic.times(v[0])]]
-        accelerations = []
-        for plane in (0, 1):
-            # M^-1 a0 M_shaft v = a0 v - M^-1 a0 M_disc v, so that damping costs next to nothing
-            bent = stiffness.times([a + p.stiffness_damping * b for a, b in zip(q[plane], v[plane], strict=True)])
-            rest = [f - k - g for f, k, g in zip(loads[plane], bent, spin[plane], strict=True)]
-            for number, inertia in disc.items():
-                rest[number] = rest[number] + p.mass_damping * inertia * v[plane][number]
-            for k, node in enumerate(self.option.disc_nodes):
-                across = free[2 * self._place(node)]
-                if across is not None:
-                    rest[across] = rest[across] - beam.entry(p.disc_damping, k) * v[plane][across]
-            solved = solve_factored(lower, inverse_d, rest)
-            accelerations.append([a - p.mass_damping * b for a, b in zip(solved, v[plane], strict=True)])
-        return Equations(
-            outputs={
-                "displacement": self._by_node(free, q, 0),
-                "tilt": self._by_node(free, q, 1),
-                "velocity": self._by_node(free, v, 0),
-                "tilt_velocity": self._by_node(free, v, 1),
-            },
-            derivatives={"position": x.velocity, "velocity": matrix(list(zip(*accelerations, strict=True)))},
-        )
+    def drawing(self, values):
+        """Return what the rotor looks like; values: parameters as SI arrays of their resolved shapes."""
+        count, discs = self.option.elements, self.option.disc_nodes
+        ends = [0.0, *accumulate(full(values["element_length"], count))]
+        columns = [full(values[key], count) for key in ("outer_diameter", "inner_diameter", "density")]
+        sections = [Section(*both, *row) for both, *row in zip(pairwise(ends), *columns, strict=True)]
+        cones = self.option.conical_elements
+        columns = [full(values[key], len(cones)) for key in ("end_outer_diameter", "end_inner_diameter")]
+        for e, outer, inner in zip(cones, *columns, strict=True):
+            sections[e - 1] = replace(sections[e - 1], outer_end=outer, inner_end=inner)
+        on = self.option.sleeve_elements
+        columns = [full(values[f"sleeve_{key}"], len(on)) for key in ("outer_diameter", "inner_diameter", "density")]
+        sleeves = [Section(ends[e - 1], ends[e], *row) for e, *row in zip(on, *columns, strict=True)]
+        pinned = tuple(ends[node - 1] for node in self.option.pinned_nodes)
+        keys = ("disc_mass", "disc_polar_inertia", "disc_diametral_inertia")
+        sizes = zip(*(full(values[key], len(discs)) for key in keys), strict=True)
+        shown = [equivalent_disc(ends[node - 1], *size) for node, size in zip(discs, sizes, strict=True)]
+        return Drawing(tuple(sections), tuple(shown), tuple(ends), (), "node", pinned, tuple(sleeves))
 
-    def _free_numbers(self) -> list[int | None]:
-        """Return the number of every degree of freedom among the free ones (None: pinned)."""
-        pinned = {self._place(node) for node in self.option.pinned_nodes}
-        places = range(self.option.elements * self.option.subdivisions + 1)
-        held = [place in pinned and not is_slope for place in places for is_slope in (False, True)]
-        return [None if h else n - 1 for h, n in zip(held, accumulate(not h for h in held), strict=True)]
+    def equations(self, p, u, x, t):
+        shaft, places = self._shaft(p)
+        return shaft.motion(places, p, u, x)
 
     def _place(self, node: int) -> int:
         """Return the place (from 0) of a node among the ends of all beams."""
         return (node - 1) * int(self.option.subdivisions)
 
-    def _matrices(self, p: Any, free: list[int | None]) -> tuple[Banded, Banded, Banded, dict[int, Any]]:
-        """Return M, G and K of one plane, and the disc entries of the diagonal of M."""
-        size = sum(number is not None for number in free)
-        mass, gyroscopic, stiffness = Banded(size), Banded(size), Banded(size)
-
-        parts_of = self.option.subdivisions
-        for e in range(self.option.elements * parts_of):
-            sizes = (p.element_length, p.outer_diameter, p.inner_diameter)
-            length, outer, inner = (beam.entry(v, e // parts_of) for v in sizes)
-            length = length / parts_of
-            area = pi / 4 * (outer**2 - inner**2)
-            second = pi / 64 * (outer**4 - inner**4)
-            phi: Any = 0.0
-            if self.option.theory == "timoshenko":
-                shear = p.young_modulus / (2 * (1 + p.poisson_ratio))
-                kappa = beam.shear_coefficient(p.poisson_ratio, inner, outer)
-                phi = 12 * p.young_modulus * second / (kappa * shear * area * length**2)
-            rotary = beam.rotary_mass(p.density * second, length, phi)
-            parts = [(stiffness, beam.stiffness(p.young_modulus * second, length, phi), 1.0)]
-            parts.append((mass, beam.translation_mass(p.density * area * length, length, phi), 1.0))
-            if self.option.rotary_inertia:
-                parts.append((mass, rotary, 1.0))
-            if self.option.shaft_gyroscopic:
-                parts.append((gyroscopic, rotary, 2.0))
-            numbers = free[2 * e : 2 * e + 4]
-            for target, table, factor in parts:
-                for i, row in zip(numbers, table, strict=True):
-                    for j, value in zip(numbers, row, strict=True):
-                        if i is not None and j is not None:
-                            target.add(i, j, factor * value)
-        disc: dict[int, Any] = {}
-        for k, node in enumerate(self.option.disc_nodes):
-            across, slope = free[2 * self._place(node)], free[2 * self._place(node) + 1]
-            if across is not None:
-                disc[across] = disc.get(across, 0.0) + beam.entry(p.disc_mass, k)
-            if slope is not None and not self.option.point_discs:
-                disc[slope] = disc.get(slope, 0.0) + p.disc_inertia_factor * beam.entry(p.disc_diametral_inertia, k)
-                gyroscopic.add(slope, slope, p.disc_inertia_factor * beam.entry(p.disc_polar_inertia, k))
-        for number, inertia in disc.items():
-            mass.add(number, number, inertia)
-        return mass, gyroscopic, stiffness, disc
-
-    def _loads(self, u: Any, free: list[int | None], plane: int) -> list[Any]:
-        forces, moments = u.force[:, plane].elements(), u.moment[:, plane].elements()
-        every: list[Any] = [0.0] * len(free)
-        for node, pair in enumerate(zip(forces, moments, strict=True), start=1):
-            every[2 * self._place(node) : 2 * self._place(node) + 2] = pair
-        return [value for value, number in zip(every, free, strict=True) if number is not None]
-
-    def _by_node(self, free: list[int | None], values: list[list[Any]], which: int) -> Any:
-        def at(node: int, plane: int) -> Any:
-            number = free[2 * self._place(node) + which]
-            return 0.0 if number is None else values[plane][number]
-
-        return matrix([[at(node, 0), at(node, 1)] for node in range(1, self.option.elements + 2)])
+    def _shaft(self, p: Any) -> tuple[Shaft, list[Place]]:
+        """Return the shaft with its discs, and the places of the nodes."""
+        option, parts = self.option, self.option.subdivisions
+        sizes = (p.outer_diameter, p.inner_diameter, p.young_modulus, p.density, p.poisson_ratio)
+        lengths = [entry(p.element_length, e) / parts for e in range(option.elements)]
+        cones = {e - 1: k for k, e in enumerate(option.conical_elements)}
+        beams = []
+        for e in range(option.elements):
+            one = Beam(lengths[e], *(entry(v, e) for v in sizes))
+            if e in cones:
+                ends = (entry(v, cones[e]) for v in (p.end_outer_diameter, p.end_inner_diameter))
+                one = replace(one, **dict(zip(("outer_end", "inner_end"), ends, strict=True)))
+            beams += divided(one, parts)
+        shaft = Shaft(
+            beams,
+            theory=option.theory,
+            rotary_inertia=option.rotary_inertia,
+            gyroscopic=option.shaft_gyroscopic,
+            pinned=map(self._place, option.pinned_nodes),
+        )
+        sleeves = [getattr(p, f"sleeve_{name}") for name in _SLEEVE]
+        for k, e in enumerate(option.sleeve_elements):
+            for part in range(parts):
+                shaft.add_beam((e - 1) * parts + part, Beam(lengths[e - 1], *(entry(v, k) for v in sleeves)))
+        places = [shaft.at(self._place(node)) for node in range(1, option.elements + 2)]
+        for k, node in enumerate(option.disc_nodes):
+            inertias = (p.disc_polar_inertia, p.disc_diametral_inertia)
+            polar, diametral = (p.disc_inertia_factor * entry(value, k) for value in inertias)
+            shaft.add_disc(
+                places[node - 1],
+                entry(p.disc_mass, k),
+                None if option.point_discs else polar,
+                diametral,
+                entry(p.disc_damping, k),
+            )
+        return shaft, places

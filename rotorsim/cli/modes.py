@@ -6,11 +6,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotorsim.cli.shared import Chosen, diagram_options, json_option, note, show
+from rotorsim.cli.shared import Chosen, diagram_options, json_option, note, plot_option, refuse_if, save_plot, show
+from rotorsim.cli.shared.variations import variations
 from rotorsim.report.text.table import table
 
 if TYPE_CHECKING:
+    from rotorsim.diagram.diagram import Diagram
     from rotorsim.linear.eigenmodes import Modes
+    from rotorsim.linear.root_locus import RootLocus
 
 ZERO_DAMPING = 1e-9  # damping ratio of an undamped mode, but for rounding
 HEADER = ("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl")
@@ -18,21 +21,69 @@ HEADER = ("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl")
 
 @click.command("modes")
 @diagram_options
+@click.option("--vary", metavar="NAME=VALUES", help="Root locus over a parameter: start:step:stop, or a list.")
+@plot_option("the modes, or the root locus")
 @json_option
-def command(chosen: Chosen, as_json: bool) -> None:
+def command(chosen: Chosen, vary: str | None, plot: str | None, as_json: bool) -> None:
     """Natural frequencies, damping ratios and whirl of the linearised diagram, in ascending damped frequency.
+
+    With --vary the poles over values of a parameter, and the values at which the machine becomes unstable; sampled
+    controllers exactly.
 
     \b
     rotorsim modes fe_rigid --without amb --set "speed=3000 rpm"
+    rotorsim modes jeffcott --vary "controller.KD=0:0.25:8" --plot locus.png
     """
     loaded = chosen.open()
+    if vary is not None:
+        _over(loaded, vary, plot, as_json)
+        return
     from rotorsim.linear.eigenmodes import modes
 
     result = modes(loaded)
     for text in (*result.notes, *([] if result.stable else ["unstable: a pole has a positive real part"])):
         note(text)
+    save_plot(lambda: result.plot(f"Modes, {loaded.name}"), plot)
     data = {"diagram": loaded.name, "speed": result.speed, "stable": result.stable, "modes": result.to_table()}
     show(as_json, lambda: {**data, "real_poles": result.real_poles}, lambda: _text(result))
+
+
+def _over(loaded: Diagram, vary: str, plot: str | None, as_json: bool) -> None:
+    """Say the poles over values of a parameter."""
+    import numpy as np
+
+    from rotorsim.linear.root_locus import root_locus
+
+    varied = variations([vary], loaded, None, 0)
+    refuse_if(varied.drawn, f"--vary {vary}: a root locus needs values, not a distribution")
+    ((name, values),) = varied.runs.items()
+    found = root_locus(loaded, name, np.unique(values))
+    for text in found.notes:
+        note(text)
+    save_plot(lambda: found.plot(f"Root locus over {name}, {loaded.name}"), plot)
+    data = {
+        "diagram": loaded.name,
+        "parameter": name,
+        "unit": found.unit,
+        "values": found.values,
+        "poles": found.poles,
+        "stable": found.stable,
+        "limits": [{"value": one.value, "frequency_hz": one.frequency} for one in found.limits],
+    }
+    show(as_json, lambda: data, lambda: _locus_text(found))
+
+
+def _locus_text(found: RootLocus) -> str:
+    """Return the least damped pole at each value, and the limits of stability."""
+    frequency, ratio = found.least_damped()
+    unit = "" if found.unit == "1" else f" [{found.unit}]"
+    rows = [
+        (f"{value:.6g}", f"{hz:.4f}", f"{round(z, 6) + 0.0:.6f}", "stable" if stable else "unstable")
+        for value, hz, z, stable in zip(found.values, frequency, ratio, found.stable, strict=True)
+    ]
+    text = table((f"{found.parameter}{unit}", "least damped [Hz]", "damping ratio", "machine"), rows)
+    limits = [f"limit of stability: {one.value:.6g}{unit}, at {one.frequency:.4f} Hz" for one in found.limits]
+    return "\n\n".join([text, "\n".join(limits) or "no limit of stability between these values"])
 
 
 def _text(result: Modes) -> str:

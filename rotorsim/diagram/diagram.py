@@ -143,7 +143,7 @@ class Diagram:
     the files that it names.
     warnings: what is odd but no mistake. free: what ``identify`` leaves to be estimated. measured: what a recording
     calls the first signal is the second one here, behind the model of a sensor. trusted: whether the code that it
-    brings along may run (its FMUs).
+    brings along may run (its FMUs). structural: diagram parameter -> an option that follows it, and is compiled in.
     """
 
     name: str
@@ -162,6 +162,7 @@ class Diagram:
     free: tuple[Free, ...] = ()
     measured: Mapping[Endpoint, Endpoint] = field(default_factory=dict)
     trusted: bool = False
+    structural: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", _fixed(self.parameters))

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from rotorsim.block import Param
 from rotorsim.diagram.resolve.registry import find
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.diagram.solver import Solver
@@ -72,7 +73,7 @@ def _block(where: str, old: Any, new: Any, layout: bool) -> list[Change]:
     kind = find(str(new.get("type"))) if old.get("type") == new.get("type") else None
     declared: dict[str, Any] = {**kind.options, **kind.parameters} if kind else {}
     defaults = {name: item.default for name, item in declared.items() if item.default is not None}
-    units = {name: item.unit for name, item in kind.parameters.items()} if kind else {}
+    units = {name: item.unit for name, item in declared.items() if isinstance(item, Param) or item.unit != "1"}
     hidden = ("parameters",) if layout else ("parameters", "description")
     rest = ({key: value for key, value in block.items() if key not in hidden} for block in (old, new))
     before, after = old.get("parameters", {}), new.get("parameters", {})

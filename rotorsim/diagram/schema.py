@@ -115,7 +115,8 @@ def schema_text() -> str:
 def _block(kind: type[Block]) -> dict[str, Any]:
     properties: dict[str, Any] = {name: _option(option) for name, option in kind.options.items()}
     properties.update({name: _parameter(parameter) for name, parameter in kind.parameters.items()})
-    required = [name for name, p in kind.parameters.items() if p.default is None]
+    required = [name for name, option in kind.options.items() if option.default is None and option.kind is not None]
+    required += [name for name, p in kind.parameters.items() if p.default is None]
     summary = (kind.__doc__ or "").strip().splitlines()
     parameters: dict[str, Any] = {"type": "object", "additionalProperties": False, "properties": properties}
     if required:
@@ -148,14 +149,19 @@ def _parameter(parameter: Param) -> dict[str, Any]:
 
 
 def _option(option: Option) -> dict[str, Any]:
-    described: dict[str, Any] = {"description": option.doc, "default": option.default}
-    if option.choices is not None and not isinstance(option.default, list):
+    unit = "" if option.unit in (None, "1") else f" [{option.unit}]"
+    described: dict[str, Any] = {"description": f"{option.doc}{unit}"}
+    if option.default is not None or option.kind is None:
+        described["default"] = option.default
+    if option.choices is not None and not option.is_list:
         return {**described, "anyOf": [{"enum": list(option.choices)}, _REFERENCE]}
     kinds = option.kind if isinstance(option.kind, tuple) else (option.kind,) if option.kind else ()
     entry: dict[str, Any] = {"type": [_JSON_TYPE[k] for k in kinds if k in _JSON_TYPE]} if kinds else {}
-    for key, bound in (("minimum", option.low), ("maximum", option.high)):
+    for key, bound in (("minimum", option.low), ("maximum", option.high), ("exclusiveMinimum", option.above)):
         if bound is not None:
             entry[key] = bound
-    if isinstance(option.default, list):
+    if float in kinds and str not in kinds:
+        entry = {"anyOf": [entry, {"type": "string"}]}  # a quantity
+    if option.is_list:
         entry = {"type": "array", "items": entry}
     return {**described, "anyOf": [entry, _REFERENCE]} if entry else described

@@ -53,6 +53,12 @@ class Library:
         return np.zeros(int(self.handle.rs_size()))
 
 
+def compiled_in(name: str, option: str) -> Problem:
+    """Return why a diagram parameter that an option follows cannot change in a compiled model."""
+    what = f"is followed by the option {option}: another value makes other equations"
+    return Problem(what, name, hint=f"load(..., set={{'{name}': ...}}), or --set {name}=...")
+
+
 class Model:
     """A diagram ready to be simulated and analysed.
 
@@ -86,6 +92,9 @@ class Model:
         problems = []
         for name, value in (overrides or {}).items():
             parts = self._parts_of(name)
+            if name in self.diagram.structural:
+                problems.append(compiled_in(name, self.diagram.structural[name]))
+                continue
             if not parts:
                 near = near_miss(name, [*self.diagram.parameters, *self.parameters], list_all=False, most=1)
                 hint = near or "`rotorsim blocks TYPE` lists parameters"

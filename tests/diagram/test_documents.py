@@ -94,7 +94,7 @@ def test_controllers_take_the_place_of_one_another(name):
 def test_a_swap_that_does_not_fit_says_which_ports_and_what_would_fit():
     with pytest.raises(RotorsimError) as caught:
         swap(DOCUMENTS["jeffcott"], "amb", "unbalance")
-    fits = "\n\nhint: types that fit: amb_nonlinear, magnetic_saturation"
+    fits = "\n\nhint: types that fit: amb_actuator, amb_nonlinear, magnetic_saturation"
     assert [str(problem) for problem in caught.value.problems] == [
         f"error: amb.displacement: type 'unbalance' has no input 'displacement', which is wired{fits}",
         f"error: amb.current: type 'unbalance' has no input 'current', which is wired{fits}",

@@ -94,6 +94,7 @@ def handmade(
         name="handmade",
         file="",
         nodes=nodes,
+        structural={},
         parameters={"speed": np.array(parameters["speed"])} if "speed" in parameters else {},
         record=tuple(record),
         wires=tuple(Wire(_end(source), _end(target)) for source, target in wires),

@@ -365,7 +365,7 @@ def test_places_stand_at_their_nodes() -> None:
     assert any("amb.force" in label.get_text() for axes in made.axes for label in axes.get_yticklabels())
 
 
-@pytest.mark.parametrize("name", ["jeffcott", "offset_disc", "fe_rigid", "fe_flexible", "two_amb_rotor"])
+@pytest.mark.parametrize("name", ["jeffcott", "offset_disc", "fe_rigid", "fe_flexible", "two_amb_rotor", "drawn_rotor"])
 def test_every_machine_is_drawn(name: str) -> None:
     made = places_figure(shipped(name), [], ["rotor.displacement[1]"])
     assert made.axes[0].patches

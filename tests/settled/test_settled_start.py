@@ -41,7 +41,8 @@ def test_parameters_are_heard() -> None:
     [
         (
             jeffcott(4e5, -10.0),
-            "error: disc: its settled motion is not stable: no run stays there\n\nhint: `rotorsim modes` shows what grows",
+            "error: disc: its settled motion is not stable: no run stays there\n\n"
+            "hint: `rotorsim modes` shows what grows",
         ),
         (
             jeffcott(4e5, 1.0, {"type": "discrete_pid"}),

@@ -41,6 +41,7 @@ class Drafter:
         self.flat, self.registry, self.templates, self.folder = flat, registry, templates, folder
         self.problems = flat.problems
         self.parameters = DiagramParameters(flat.problems)
+        self.structural: dict[str, str] = {}  # diagram parameter -> an option that follows it
 
     def drafts(self, raws: Iterable[RawBlock]) -> dict[str, Draft]:
         """Return the drafts of blocks by name, without those whose type or options are wrong."""
@@ -112,6 +113,14 @@ class Drafter:
                 raw.place("parameters"),
                 "each name once; letters, digits and _, not a digit first",
             )
+        try:
+            mistakes = template.block.check_given(given)
+        except Exception as error:  # the code of the block is foreign
+            what = f"check of block type '{cls.type_name}' fails: {type(error).__name__}: {error}"
+            self.problems.error(what, raw.name, raw.place(), f"see `rotorsim blocks {cls.type_name}`")
+            mistakes = []
+        for name, path, what, hint in mistakes:
+            report_value(self.problems, raw, name, ValueProblem(what, hint, path))
         return Draft(raw, cls, options, template, given, references)
 
     def _registered(self, raw: RawBlock) -> type[Block] | None:
@@ -174,7 +183,12 @@ class Drafter:
             return
         try:
             followed = referred_name(options[name])
-            options[name] = option_value(referred(raw, followed).value if followed else options[name], declared)
+            value, bare = options[name], name in raw.overrides
+            if followed:
+                parameter = referred(raw, followed)
+                value, bare = parameter.value, parameter.place.file == "--set"
+                self.structural.setdefault(parameter.name, f"{raw.name}.{name}")
+            options[name] = option_value(value, declared, bare=bare)
         except ValueProblem as problem:
             report_value(self.problems, raw, name, problem)
 

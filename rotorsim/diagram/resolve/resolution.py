@@ -110,6 +110,7 @@ def resolve(
     nodes, units = fitting.nodes(), drafter.parameters.units
     free, mistakes = free_parameters(document, identify, values, units, nodes, removed)
     problems += mistakes
+    problems += wiring.gaps(nodes)
     measured = measured_signals(flat, fitting, nodes, removed)
     for name, node in nodes.items():
         if name not in fitting.misfits:
@@ -132,6 +133,7 @@ def resolve(
         free=free,
         measured=measured,
         trusted=trust_blocks,
+        structural=drafter.structural,
     )
 
 

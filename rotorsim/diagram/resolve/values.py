@@ -65,7 +65,7 @@ def _finite(value: float, path: tuple[int, ...]) -> np.ndarray:
     return np.array(number)
 
 
-def bounds_problem(value: np.ndarray, declared: Param) -> ValueProblem | None:
+def bounds_problem(value: np.ndarray, declared: Param | Option) -> ValueProblem | None:
     """Return what is wrong if an entry is outside the declared bounds."""
     for bound, is_outside, extreme, words in (
         (declared.above, np.less_equal, np.min, "greater than"),
@@ -88,9 +88,12 @@ _KIND_WORDS = {
 }
 
 
-def option_value(value: Any, declared: Option) -> Any:
-    """Return an option value of the declared kind, choices and bounds; raise ValueProblem."""
-    is_list = isinstance(declared.default, list | tuple)
+def option_value(value: Any, declared: Option, *, bare: bool = False) -> Any:
+    """Return an option value of the declared kind, choices and bounds, in SI; raise ValueProblem.
+
+    bare: a text without a unit is a number in the declared unit (values from the command line).
+    """
+    is_list = declared.is_list
     kinds = declared.kind
     if kinds is None:
         sample = declared.default[0] if is_list and declared.default else declared.default
@@ -99,14 +102,18 @@ def option_value(value: Any, declared: Option) -> Any:
     if is_list and not (list in kinds and declared.kind is not None):
         if not isinstance(value, list | tuple):
             raise ValueProblem(f"must be a list, not {_kind_of(value)}", "write [...]")
-        return [_entry(item, kinds, declared, (k,)) for k, item in enumerate(value)]
-    return _entry(value, kinds, declared, ())
+        return [_entry(item, kinds, declared, (k,), bare) for k, item in enumerate(value)]
+    return _entry(value, kinds, declared, (), bare)
 
 
-def _entry(value: Any, kinds: tuple[type, ...], declared: Option, path: tuple[int, ...]) -> Any:
+def _entry(value: Any, kinds: tuple[type, ...], declared: Option, path: tuple[int, ...], bare: bool) -> Any:
     is_number = isinstance(value, int | float | str) and not isinstance(value, bool)
     if float in kinds and str not in kinds and is_number:
-        value = float(numeric(value, declared.unit, path=path))
+        number = numeric(value, declared.unit, bare=bare, path=path)
+        outside = bounds_problem(number, declared)
+        if outside is not None:
+            raise ValueProblem(outside.what, outside.hint, path)
+        value = float(number)
     fits = not kinds or (type(value) in kinds) or (isinstance(value, tuple) and list in kinds)
     if not fits:
         words = " or ".join(_KIND_WORDS.get(kind, kind.__name__) for kind in kinds)

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from rotorsim.diagram.diagram import Endpoint, Wire
+import numpy as np
+
+from rotorsim.diagram.diagram import Endpoint, Node, Wire
 from rotorsim.diagram.parse.document import FlatDocument, RawWire
 from rotorsim.diagram.resolve.draft import Draft
 from rotorsim.diagram.resolve.template import Templates
-from rotorsim.errors import Place, near_miss
+from rotorsim.errors import Place, Problem, near_miss
 
 MAX_WIRE_HINTS = 50
 
@@ -19,7 +21,8 @@ MAX_WIRE_HINTS = 50
 class Wiring:
     """The drafts of a document, with the wires between them; mistakes go to the problems of the document.
 
-    removed: blocks taken out, broken: blocks that could not be read. cut: inputs that read zero without a wire.
+    removed: blocks taken out, broken: blocks that could not be read. cut: inputs that read zero without a wire. parts:
+    wires of the inputs that are wired by parts.
     """
 
     flat: FlatDocument
@@ -27,6 +30,7 @@ class Wiring:
     removed: frozenset[str]
     wires: list[Wire] = field(default_factory=list)
     cut: set[tuple[str, str]] = field(default_factory=set)
+    parts: dict[tuple[str, str], list[RawWire]] = field(default_factory=dict)
     _hints: dict[str, str] = field(default_factory=dict)
 
     @cached_property
@@ -35,7 +39,7 @@ class Wiring:
 
     def connect(self, templates: Templates) -> None:
         """Check that both ends of every wire exist and that inputs have one wire; note which are wired."""
-        first: dict[tuple[str, str], RawWire] = {}
+        first: dict[tuple[str, str], list[RawWire]] = {}
         for raw in self.flat.wires:
             ends = ((raw.source, False), (raw.target, True))
             blocks = {raw.source.block, raw.target.block}
@@ -49,6 +53,7 @@ class Wiring:
                 good_source, good_target = [self.exists(end, k, raw.end_place(k)) for end, k in ends]
                 if good_target and self._take(raw, first, good_source) and good_source:
                     self.wires.append(Wire(raw.source, raw.target, raw.place))
+        self.parts = {key: wires for key, wires in first.items() if any(wire.target.index for wire in wires)}
         for end, is_input, place in self.flat.port_ends:
             if end.block not in self.broken and end.block not in self.removed:
                 self.exists(end, is_input, place)
@@ -58,6 +63,23 @@ class Wiring:
             told = frozenset(p for p in draft.wired if p in inputs and (inputs[p].optional or inputs[p].additive))
             if told:
                 draft.template = templates.of(draft.cls, draft.options, told)
+
+    def gaps(self, nodes: Mapping[str, Node]) -> list[Problem]:
+        """Return the inputs that are wired by parts, and not by all of them."""
+        found = []
+        for (block, port), wires in self.parts.items():
+            shape = nodes[block].inputs[port].shape
+            wired = np.zeros(shape, bool)
+            for wire in wires:
+                wired[wire.target.index] = True
+            rows = [k + 1 for k in range(shape[0]) if not wired[k].all()]
+            if rows:
+                missing = ", ".join(f"{port}[{k}]" for k in rows)
+                hint = f'add a wire to each, as ["block.output", "{block}.{port}[{rows[0]}]"]'
+                found.append(
+                    Problem(f"input is wired by parts, but not {missing}", f"{block}.{port}", wires[0].place, hint)
+                )
+        return found
 
     def _cut(self, end: Endpoint) -> None:
         """Let an input read zero whose wire has been taken out."""
@@ -111,13 +133,14 @@ class Wiring:
             self._hints[name] = near_miss(name, known) if few and known else 'declare it under "blocks"'
         return self._hints[name]
 
-    def _take(self, raw: RawWire, first: dict[tuple[str, str], RawWire], counts: bool) -> bool:
+    def _take(self, raw: RawWire, first: dict[tuple[str, str], list[RawWire]], counts: bool) -> bool:
         """Note that an input is wired; return whether it may be (a wire from nowhere does not count)."""
         draft, end = self.drafts[raw.target.block], raw.target
         draft.wired.add(end.port)
         if draft.template.inputs[end.port].additive:
             return True
-        if end.index:
+        by_parts = draft.template.inputs[end.port].by_parts
+        if end.index and not by_parts:
             self.flat.problems.error(
                 "an input that takes one wire cannot be wired by parts",
                 str(end),
@@ -125,7 +148,9 @@ class Wiring:
                 "put the parts together with a mux block",
             )
             return False
-        before = first.get((end.block, end.port))
+        taken = first.setdefault((end.block, end.port), [])
+        depth = len(end.index)
+        before = next((one for one in taken if one.target.index[:depth] == end.index[: len(one.target.index)]), None)
         if before is not None:
             where = f" at {before.place}" if before.place.line else ""
             self.flat.problems.error(
@@ -136,7 +161,7 @@ class Wiring:
             )
             return False
         if counts:
-            first[end.block, end.port] = raw
+            taken.append(raw)
         return True
 
     def _report_unwired(self, name: str, draft: Draft) -> None:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
-from rotorsim.diagram.diagram import Diagram, Node
+from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.draw import draw_svg
 from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, figure, legend_below, styled
 
@@ -27,14 +27,16 @@ STEEL, DISC, MAGNET = "#c9d3dc", "#8fa3b5", "#d9c9e6"
 
 @dataclass(frozen=True)
 class _Shaft:
-    """A rotor along its axis: z of every node, radius of every element, (node, radius, width) of discs; pinned."""
+    """A rotor along its axis: z of every node, ends and radii of pieces, (z, radius, width) of discs; pinned nodes."""
 
     block: str
     z: np.ndarray
+    ends: np.ndarray
     radius: np.ndarray
-    discs: tuple[tuple[int, float, float], ...]
+    discs: tuple[tuple[float, float, float], ...]
     pinned: tuple[int, ...]
     only: int | None = None  # the node that stands for the whole of a rotor without nodes
+    row: str = "node"  # what a row of its ports is called
 
     def node(self, index: tuple[int, ...]) -> int | None:
         """Return the node (from 0) that an index of a port means."""
@@ -83,33 +85,32 @@ def _shaft(diagram: Diagram) -> _Shaft | None:
         if "rotor" not in node.block.roles or "displacement" not in node.outputs:
             continue
         shape = node.outputs["displacement"].shape
-        if len(shape) == 2 and "element_length" in node.values:
-            return _finite_elements(name, node, shape[0])
+        if len(shape) == 2 and hasattr(node.block, "drawing"):
+            return _drawn(name, node.block.drawing(node.values))
         if shape == (2,):
             at = 0.35 if "tilt" in node.outputs else 0.5
             z = np.array([0.0, at, 1.0])
-            return _Shaft(name, z, np.full(2, 0.016), ((1, 0.13, 0.05),), (0, 2), only=1)
+            return _Shaft(name, z, z, np.full(2, 0.016), ((at, 0.13, 0.05),), (0, 2), only=1)
     return None
 
 
-def _finite_elements(name: str, node: Node, count: int) -> _Shaft:
-    z = np.append(0.0, np.cumsum(np.broadcast_to(node.values["element_length"], count - 1)))
-    span = float(z[-1])
-    diameters = np.broadcast_to(node.values.get("outer_diameter", 0.02 * span), count - 1)
-    masses, options = np.atleast_1d(node.values.get("disc_mass", np.zeros(0))), vars(node.block.option)
-    size = np.cbrt(masses / masses.max(initial=1e-300))
-    discs = zip(options.get("disc_nodes", ()), size, strict=False)
-    shown = tuple((int(k) - 1, 0.12 * span * float(s), 0.03 * span) for k, s in discs if s > 0)
-    pinned = tuple(int(k) - 1 for k in options.get("pinned_nodes", ()))
-    return _Shaft(name, z, diameters / diameters.max() * 0.02 * span, shown, pinned)
+def _drawn(name: str, drawing: Any) -> _Shaft:
+    """Return the shaft of a drawing, not to scale across, so that thin shafts are seen: discs by their masses."""
+    z, span = np.array(drawing.stations), drawing.length
+    ends = np.array([0.0, *(one.end for one in drawing.sections)])
+    outer = np.array([one.outer for one in drawing.sections])
+    largest = max((disc.mass for disc in drawing.discs), default=0.0)
+    discs = tuple((d.position, 0.12 * span * np.cbrt(d.mass / largest), 0.03 * span) for d in drawing.discs if d.mass)
+    pinned = tuple(int(np.abs(z - at).argmin()) for at in drawing.pinned)
+    return _Shaft(name, z, ends, outer / outer.max() * 0.02 * span, discs, pinned, row=drawing.station)
 
 
 def _draw_machine(axes: Axes, diagram: Diagram, shaft: _Shaft, recorded: Iterable[str]) -> None:
-    z, span = shaft.z, float(shaft.z[-1] - shaft.z[0])
+    z, ends, span = shaft.z, shaft.ends, float(np.ptp(shaft.ends))
     edge: dict[str, Any] = {"ec": INK, "lw": 0.8}
-    axes.bar(z[:-1], 2 * shaft.radius, np.diff(z), -shaft.radius, align="edge", fc=STEEL, zorder=2, **edge)
-    for k, radius, width in shaft.discs:
-        axes.bar(z[k], 2 * radius, width, -radius, fc=DISC, zorder=3, **edge)
+    axes.bar(ends[:-1], 2 * shaft.radius, np.diff(ends), -shaft.radius, align="edge", fc=STEEL, zorder=2, **edge)
+    for at, radius, width in shaft.discs:
+        axes.bar(at, 2 * radius, width, -radius, fc=DISC, zorder=3, **edge)
     for k in shaft.pinned:
         axes.plot(z[k], -0.045 * span, "^", ms=17, mfc="white", mec=INK, zorder=1.5)
     bearings = _acting(diagram, shaft, "bearing")
@@ -119,14 +120,14 @@ def _draw_machine(axes: Axes, diagram: Diagram, shaft: _Shaft, recorded: Iterabl
     for k, names in _acting(diagram, shaft, "excitation").items():
         axes.annotate(", ".join(names), (z[k], -0.25 * span), ha="center", va="top", fontsize=7.5, color=GREY)
     for k in _probes(shaft, recorded):
-        beside = k in bearings or k in {disc[0] for disc in shaft.discs}
+        beside = k in bearings or any(abs(z[k] - disc[0]) < 1e-6 * span for disc in shaft.discs)
         at, arrow = float(z[k]) - 0.035 * span * beside, {"arrowstyle": "-|>", "color": GREEN, "lw": 1.4}
         axes.annotate("", (at, 0.03 * span), (at, 0.19 * span), arrowprops=arrow)
         axes.annotate("probe", (at, 0.2 * span), ha="center", va="bottom", fontsize=7.5, color=GREEN)
     if shaft.only is None:
         axes.plot(z, np.zeros(len(z)), "o", ms=3.5, color=INK, zorder=4)
         axes.set_xticks(z, [f"{k + 1}" for k in range(len(z))])
-        axes.set_xlabel(f"node of {shaft.block}, {span:.3g} m from end to end")
+        axes.set_xlabel(f"{shaft.row} of {shaft.block}, {span:.3g} m from end to end")
     else:
         axes.set_xticks([z[1]], [shaft.block])
     axes.set(ylim=(-0.33 * span, 0.3 * span), xlim=(-0.06 * span, 1.06 * span), yticks=[])
@@ -171,7 +172,7 @@ def _probes(shaft: _Shaft, recorded: Iterable[str]) -> list[int]:
 
 def _draw_bars(axes: Axes, shaft: _Shaft, places: Sequence[tuple[Spot, float]]) -> None:
     ports = list(dict.fromkeys(spot.port for spot, _ in places))
-    width = min(0.05 * float(np.ptp(shaft.z)), 0.6 * float(np.diff(shaft.z).min()) / max(len(ports), 1))
+    width = min(0.05 * float(np.ptp(shaft.z)), 0.6 * float(np.diff(np.sort(shaft.z)).min()) / max(len(ports), 1))
     for spot, probability in places:
         k, number = shaft.only if spot.node is None else spot.node - 1, ports.index(spot.port)
         if k is None or not 0 <= k < len(shaft.z):

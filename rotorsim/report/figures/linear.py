@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from rotorsim.linear.campbell import Campbell
     from rotorsim.linear.eigenmodes import Modes
     from rotorsim.linear.frequency import FrequencyResponse
+    from rotorsim.linear.step_response import StepResponse
     from rotorsim.settled.result import Periodic
 
 
@@ -154,6 +155,30 @@ def frequency_response_figure(response: FrequencyResponse, title: str = "") -> F
     lower.yaxis.set_major_locator(MultipleLocator(90))
     if drawn:
         legend_below(made, upper, 2)
+    return made
+
+
+@styled()
+def step_response_figure(found: StepResponse, title: str = "") -> Figure:
+    """Return the response over time to a step of 1 at each input (entries that are zero left out), and final values."""
+    if not found.stable:
+        title = f"{title} (not stable)".strip()
+    made = figure(7.5, 4.2, title)
+    axes = made.add_subplot()
+    largest = float(np.abs(found.value).max(initial=0.0))
+    units = set()
+    for k, (o, i) in enumerate(np.ndindex(*found.value.shape[1:])):
+        above, below = found.units[k]
+        if np.abs(found.value[:, o, i]).max(initial=0.0) > ZERO_SHARE * largest:
+            shown, unit = display(found.value[:, o, i], above)
+            label = f"{found.outputs[o]}, step of 1 {below if below != '1' else ''} at {found.inputs[i]}"
+            axes.plot(found.time, shown, LINE_STYLES[k % 4], label=" ".join(label.split()))
+            units.add(unit)
+            final = found.numbers[k].final
+            if np.isfinite(final):
+                axes.axhline(float(display(final, above)[0]), color=GREY, lw=0.7, ls=":")
+    axes.set(xlabel="time [s]", ylabel=f"response [{', '.join(sorted(units))}]", xmargin=0)
+    legend_below(made, axes, 2)
     return made
 
 

@@ -6,9 +6,9 @@ import inspect
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from rotorsim.block import Block, Declaration
+from rotorsim.block import Block, Declaration, Option
 
-PORT_KEYS = ("default", "low", "high", "above", "optional", "additive", "conjugate", "many", "init", "seed")
+PORT_KEYS = ("default", "low", "high", "above", "optional", "additive", "by_parts", "conjugate", "many", "init", "seed")
 DETAILS = {
     "default": "default {}",
     "choices": "one of {}",
@@ -16,6 +16,7 @@ DETAILS = {
     "low": ">= {}",
     "high": "<= {}",
     "additive": "any number of wires, summed",
+    "by_parts": "as a whole or by parts",
     "optional": "optional",
     "many": "as many as {} says",
     "init": "starts at {}",
@@ -79,6 +80,8 @@ def _declaration(block: Block, item: Declaration) -> dict[str, Any]:
 
 def _shape(block: Block, item: Declaration) -> str:
     """Return the declared shape as text: ``scalar``, ``(2,)``, ``(nodes, 2)``, or the word that stands for it."""
+    if isinstance(item, Option) and item.is_list:
+        return "list"
     shape = item.shape
     if callable(shape):
         try:
@@ -106,12 +109,14 @@ def _value(value: Any) -> str:
 
 
 def _rows(data: Mapping[str, Any], kind: str) -> list[tuple[str, str, str, str]]:
-    """Return name, shape, unit and words of every declaration of a kind; options have neither shape nor unit."""
+    """Return name, shape, unit and words of every declaration of a kind; options are lists or not."""
     rows = []
     for name, item in data[kind].items():
         words = "; ".join(part for part in (str(item["doc"]), _details(item)) if part)
         unit = "any" if item["unit"] is None else str(item["unit"])
-        rows.append((name, *(("", "") if kind == "options" else (item["shape"], unit)), words))
+        is_option = kind == "options"
+        shape = item["shape"].replace("scalar", "") if is_option else item["shape"]
+        rows.append((name, shape, "" if is_option and unit == "1" else unit, words))
     return rows
 
 

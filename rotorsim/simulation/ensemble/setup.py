@@ -12,7 +12,7 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.model.compiled import Model
+from rotorsim.model.compiled import Model, compiled_in
 from rotorsim.model.input_limits import input_limits
 from rotorsim.simulation.ensemble.reductions import (
     KINDS,
@@ -129,6 +129,8 @@ def changes_structure(diagram: Diagram, name: str) -> Problem | None:
     if node is not None and key in node.block.options:
         what = "is an option: another value makes other equations, which are not those of one ensemble"
         return Problem(what, name, hint=f"one ensemble for each: load(..., set={{'{name}': ...}}), or --set {name}=...")
+    if name in diagram.structural:
+        return compiled_in(name, diagram.structural[name])
     if name in diagram.nodes:
         hint = f"`rotorsim blocks {diagram.nodes[name].block.type_name}` lists its parameters"
         return Problem("is a block, not a parameter", name, hint=hint)

@@ -1,0 +1,1 @@
+"""Rotors that ROSS has saved, as diagrams."""

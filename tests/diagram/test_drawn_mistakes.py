@@ -1,0 +1,156 @@
+"""Mistakes in a drawing: all at once, each where it is written; options that have units."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rotorsim.diagram.diff import diff
+from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.diagram.schema import json_schema
+from rotorsim.errors import RotorsimError
+from rotorsim.linear.eigenmodes import modes
+from rotorsim.model.load import load
+from rotorsim.simulation.ensemble.many import simulate_many
+from tests.diagram.helpers import block, diagram, mistakes
+
+MM = {
+    "section_lengths": ["100 mm", "200 mm", "100 mm"],
+    "outer_diameter": ["40 mm", "50 mm", "40 mm"],
+    "stations": ["50 mm", "300 mm"],
+}
+
+
+def drawn(**parameters: Any) -> dict[str, Any]:
+    return diagram(
+        {"rest": block("constant", value=0.0), "rotor": block("rotor_drawing", **{**MM, **parameters})},
+        ("rest.output", "rotor.speed"),
+    )
+
+
+def written(document: dict[str, Any]) -> list[str]:
+    """Return the mistakes of a canonical file, without line and column."""
+    found = mistakes(format_document(document))
+    assert all(line.partition(": ")[0].count(":") == 1 for line in found), found  # every one has line and column
+    return [line.partition(": ")[2] for line in found]
+
+
+def test_all_mistakes_of_a_drawing_are_told_at_once() -> None:
+    assert written(
+        drawn(
+            inner_diameter=[0, "60 mm", "10 mm"],
+            stations=["50 mm", "500 mm"],
+            station_names=["probe"],
+            disc_positions=["-1 mm", "410 mm"],
+            drawn_disc_positions=["0.2 m"],
+            drawn_disc_outer_diameter="50 mm",
+            drawn_disc_inner_diameter=["50 mm"],
+            young_modulus=["210 GPa", "200 GPa"],
+            longest_element="2 mm",
+            shortest_element="3 mm",
+        )
+    ) == [
+        "rotor.stations: station 2 at 500 mm is right of the shaft | it goes from 0 to 400 mm",
+        "rotor.inner_diameter: 60 mm of section 2 must be smaller than its outer diameter, 50 mm | a solid one has 0",
+        "rotor.station_names: has 1 entries, but there are 2 stations | give one name for each, or none",
+        "rotor.disc_positions: disc_mass is not given | a disc given by mass and inertias needs disc_mass",
+        "rotor.disc_positions: disc 1 at -1 mm is left of the shaft | it goes from 0 to 400 mm",
+        "rotor.disc_positions: disc 2 at 410 mm is right of the shaft | it goes from 0 to 400 mm",
+        "rotor.drawn_disc_positions: drawn_disc_width is not given | a disc by dimensions needs its width",
+        "rotor.drawn_disc_inner_diameter: 50 mm of disc 1 must be smaller than its outer diameter, 50 mm"
+        " | a solid one has 0",
+        "rotor.young_modulus: shape is (2,), expected (3,) | write a list [...]",
+        "rotor.shortest_element: is longer than longest_element | or leave both out",
+    ]
+
+
+def test_a_mistake_is_placed_at_the_entry_of_its_list() -> None:
+    text = format_document(drawn(stations=["50 mm", "500 mm"]))
+    line = next(k for k, row in enumerate(text.splitlines(), 1) if "500 mm" in row)
+    column = text.splitlines()[line - 1].index('"500 mm"') + 1
+    assert mistakes(text)[0].startswith(f"{line}:{column}: rotor.stations: station 2")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({"stations": []}, "rotor.stations: the list is empty | a rotor has a section, and a station to act on"),
+        ({"stations": "50 mm"}, "rotor.stations: must be a list, not the text '50 mm' | write [...]"),
+        ({"stations": ["50 kg"]}, "rotor.stations: unit 'kg' does not fit 'm' | give it in m"),
+        ({"stations": ["50"]}, "rotor.stations: '50' has no unit | write '50 m', or a number without quotes (SI)"),
+        ({"section_lengths": [0.1, 0, 0.1]}, "rotor.section_lengths: 0 m must be greater than 0 m | "),
+        (
+            {"outer_diameter": ["40 mm", "50 mm"]},
+            "rotor.outer_diameter: shape is (2,), expected (3,) | write a list [...]",
+        ),
+        (
+            {"drawn_disc_positions": [0.1], "drawn_disc_outer_diameter": 0.1, "drawn_disc_width": [0.0]},
+            "rotor.drawn_disc_width: of disc 1 must be greater than 0 | a disc by dimensions needs its width",
+        ),
+    ],
+)
+def test_one_mistake_gives_one_message(parameters: dict[str, Any], expected: str) -> None:
+    found = written(drawn(**parameters))
+    assert len(found) == 1
+    assert found[0].startswith(expected)
+
+
+def test_what_must_be_given_is_asked_for() -> None:
+    document = diagram({"rest": block("constant", value=0.0), "rotor": block("rotor_drawing", outer_diameter=0.04)})
+    assert [line.partition(": ")[2].partition(" |")[0] for line in mistakes(format_document(document))] == [
+        "rotor: parameter 'section_lengths' is missing",
+        "rotor: parameter 'stations' is missing",
+    ]
+
+
+def test_options_with_units_are_read_in_si_from_file_setting_and_parameter(tmp_path: Path) -> None:
+    document = drawn(longest_element="$longest")
+    document["parameters"] = {"longest": "25 mm"}
+    option = load(document).nodes["rotor"].block.option
+    assert (option.stations, option.longest_element) == ([0.05, 0.3], 0.025)
+    assert load(document, set={"longest": "2 cm"}).nodes["rotor"].block.option.longest_element == 0.02
+    for text in ("30 mm", "0.03", 0.03):
+        assert load(drawn(), set={"rotor.longest_element": text}).nodes["rotor"].block.option.longest_element == 0.03
+    stations = load(drawn(), set={"rotor.stations": [0.1, "0.2 m"]}).nodes["rotor"].block.option.stations
+    assert stations == [0.1, 0.2]
+    with pytest.raises(RotorsimError, match="unit 's' does not fit 'm'"):
+        load(drawn(), set={"rotor.longest_element": "30 s"})
+
+
+def test_options_of_one_length_in_two_units_are_no_difference() -> None:
+    one, other = drawn(), drawn(stations=[0.05, "30 cm"])
+    assert diff(one, other) == []
+    assert [change.where for change in diff(one, drawn(stations=[0.05, 0.31]))] == ["blocks.rotor.parameters.stations"]
+
+
+def test_the_schema_takes_quantities_for_options_and_asks_for_them() -> None:
+    [kind] = [
+        one
+        for one in json_schema()["properties"]["blocks"]["additionalProperties"]["anyOf"]
+        if one["properties"]["type"].get("const") == "rotor_drawing"
+    ]
+    given = kind["properties"]["parameters"]
+    stations = given["properties"]["stations"]
+    assert stations["description"] == "axial position of each station [m]"
+    assert stations["anyOf"][0] == {"type": "array", "items": {"anyOf": [{"type": ["number"]}, {"type": "string"}]}}
+    assert set(given["required"]) == {"outer_diameter", "section_lengths", "stations"}
+    assert json.dumps(given)
+
+
+def test_a_parameter_that_an_option_follows_does_not_change_in_a_compiled_model() -> None:
+    """It would have no effect, and nobody would know."""
+    document = drawn(longest_element="$longest")
+    document["parameters"] = {"longest": "25 mm"}
+    made = load(document)
+    assert made.structural == {"longest": "rotor.longest_element"}
+    expected = (
+        "error: longest: is followed by the option rotor.longest_element: another value makes other equations\n\n"
+        "hint: load(..., set={'longest': ...}), or --set longest=..."
+    )
+    with pytest.raises(RotorsimError) as caught:
+        modes(made, parameters={"longest": 0.02})
+    assert str(caught.value) == expected
+    with pytest.raises(RotorsimError) as caught:
+        simulate_many(made, {"longest": [0.02, 0.03]}, stop=1e-3)
+    assert str(caught.value) == expected
