@@ -111,7 +111,8 @@ PICTURES = {
     "blower_unbalance.png": Picture(
         (
             "new blower --from drawn_rotor",
-            'accept blower.json --operating "6000 rpm:9000 rpm" --clearance "0.25 mm" --out acceptance',
+            'record blower.json --speeds "6000 rpm, 9000 rpm" --rate "20 kHz" --noise "1 %" --out steady',
+            'accept blower.json steady --operating "6000 rpm:9000 rpm" --clearance "0.25 mm" --out acceptance',
         ),
         "acceptance/3_unbalance.png",
     ),

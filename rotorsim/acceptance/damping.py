@@ -26,7 +26,7 @@ LEVEL_1, STABILITY = f"{API_617}, 4.8.5 (level I)", f"{API_684}, 3"
 COUPLINGS = 40  # between 0.001 and 1000 times the anticipated one, at which stability is looked at
 LEAST_DECREMENT = 0.1  # of the first forward mode, API 617 level I
 LEAST_RATIO = 2.0  # of the cross coupling at the limit of stability to that which is anticipated, API 617 level I
-WEAK = 0.2  # damping ratio below which 2X may bring a mode to resonance: AF 2.5
+WEAKLY_DAMPED = 0.2  # damping ratio below which 2X may bring a mode to resonance: AF 2.5
 TWIN = 1.05  # of the first frequency, up to which modes of two planes are one: the less damped one counts
 MOST_COUPLING = 1e3  # times the anticipated one, up to which the limit of stability is looked for
 
@@ -108,7 +108,7 @@ def _twice(result: Campbell, given: Conditions) -> list[str]:
         f"2X meets a {one.whirl} mode of {one.frequency_hz:.4g} Hz, log decrement "
         f"{2 * np.pi * one.damping_ratio / np.sqrt(1 - one.damping_ratio**2):.3g}, at {one.speed * 30 / np.pi:.5g} rpm"
         for one in result.crossings
-        if one.order == 2 and given.lowest <= one.speed <= given.highest and one.damping_ratio < WEAK
+        if one.order == 2 and given.lowest <= one.speed <= given.highest and one.damping_ratio < WEAKLY_DAMPED
     ]
 
 

@@ -34,7 +34,7 @@ NEAR_A_POLE = np.array(
     [-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0]
 )  # half widths: speeds at every pole, and again at every maximum found
 TWINS = 1e-3  # relative distance of critical speeds of two planes
-RESOLUTION = 2e-4  # of the largest speed, between speeds around a maximum
+SPEED_RESOLUTION = 2e-4  # of the largest speed, between speeds around a maximum
 MOST_OPPOSED = 5  # planes, of which all combinations of signs are tried
 POLE_SPEEDS = 3  # at which the poles are looked at
 LARGEST_SCALE = 6.0  # S_cc at most
@@ -147,7 +147,7 @@ def _speeds(model: Model, ends: tuple[float, float], given: Conditions) -> np.nd
         poles = linear_system(model, (), (), {"speed": float(speed)})[0].poles()
         poles = poles[(poles.imag > 0) & (np.abs(poles.real) < poles.imag)]
         found.append((poles.imag[:, None] + np.abs(poles.real)[:, None] * NEAR_A_POLE).ravel())
-    step = RESOLUTION * ends[1]
+    step = SPEED_RESOLUTION * ends[1]
     rounded = np.unique(np.round(np.concatenate(found) / step)) * step
     rounded = rounded[(rounded >= ends[0]) & (rounded <= ends[1])]
     exact = np.array([given.lowest, given.highest, given.trip])
@@ -166,7 +166,7 @@ def _near_maxima(speeds: np.ndarray, size: np.ndarray, ends: tuple[float, float]
             found.append(np.linspace(speeds[k - 1], speeds[k + 1], 9))
     if not found:
         return np.zeros(0)
-    step = RESOLUTION * ends[1]
+    step = SPEED_RESOLUTION * ends[1]
     near = np.unique(np.round(np.concatenate(found) / step)) * step
     near = near[(near >= ends[0]) & (near <= ends[1])]
     return np.asarray(near[np.abs(near[:, None] - speeds).min(axis=1) > step / 2])

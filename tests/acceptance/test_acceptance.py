@@ -16,8 +16,10 @@ from rotorsim.acceptance.criterion import Criterion
 from rotorsim.acceptance.displacement import displacement_zone
 from rotorsim.acceptance.limits import residual_unbalance, vibration_limit
 from rotorsim.acceptance.unbalance import rotor_mass
+from rotorsim.signals.orders.extraction import tracked_recording
 from tests.acceptance.machines import jeffcott, stepped
 from tests.blocks.test_amb_hardware import rigid
+from tests.signals.orders.machine import Mode, run_up
 
 RPM = np.pi / 30
 
@@ -399,3 +401,36 @@ def test_every_probe_needs_a_clearance_and_one_of_its_own_is_heard() -> None:
     ]
     own = accept(load("two_amb_rotor"), clearance={"rotor.displacement[7]": 0.05e-3, "": 0.2e-3}, **given)
     assert dict(own.conditions.clearance) == {"rotor.displacement[3]": 0.2e-3, "rotor.displacement[7]": 0.05e-3}
+
+
+# -- run-ups -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def passed():
+    """Return the 1X vectors of a run-up from 60 to 500 rad/s past a critical speed at 300 rad/s."""
+    return tracked_recording(run_up([Mode(300.0, 0.03, 2e-5, -2e-5j)], 60.0, 500.0, 5.0, noise=2e-8), [1])[0]
+
+
+def test_a_critical_speed_that_was_passed_has_its_separation(passed) -> None:
+    found = of(accept(None, passed, operating=(400.0, 480.0)), "separation margin")
+    assert len(found) == 1
+    assert found[0].value == pytest.approx(100 * (400 - 300.27) / 400, abs=0.1)  # 300 / sqrt(1 - 2 z^2)
+    assert found[0].limit == pytest.approx(17 * (1 - 1 / (1 / 0.06 - 1.5)), rel=0.01)
+    assert (found[0].verdict, found[0].source) == ("met", "measured")
+    assert of(accept(None, passed, operating=(290.0, 480.0)), "separation margin")[0].verdict == "not met"
+
+
+def test_a_run_up_that_does_not_pass_all_operating_speeds_does_not_tell_that_there_is_none(passed) -> None:
+    found = accept(None, passed, operating=(400.0, 800.0))
+    assert [one.verdict for one in of(found, "separation margin")] == ["met", "not judged"]
+    assert of(found, "separation margin")[1].said.startswith("it does not pass all operating speeds")
+    early = replace(passed, runs=(cut(passed.runs[0], passed.runs[0].speed < 200.0),))
+    [only] = of(accept(None, early, operating=(250.0, 350.0)), "separation margin")
+    assert only.verdict == "not judged"
+    assert of(accept(None, early), "separation margin")[0].said == "no operating speed is given: --operating"
+
+
+def cut(run, kept):
+    time = None if run.time is None else run.time[kept]
+    return replace(run, speed=run.speed[kept], time=time, vectors={k: v[kept] for k, v in run.vectors.items()})

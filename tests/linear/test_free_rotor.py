@@ -80,6 +80,34 @@ def test_where_the_bearings_stiffness_meets_the_map() -> None:
     assert stiffness == pytest.approx(4e5 + 100j * 2 * np.pi * hz, rel=1e-9)
 
 
+def test_a_casing_on_feet_moves_along_with_the_rotor_and_is_not_part_of_the_bearing() -> None:
+    """Two masses: critical speeds of [k + K, -k; -k, k + K_feet]; the stiffness of the bearing is its own."""
+    machine = jeffcott(4e5, 100.0)
+    machine["blocks"] |= {
+        "casing": {"type": "casing", "parameters": {"mass": 10.0, "stiffness": [[2e6, 2e6]], "damping": [[0.0, 0.0]]}},
+        "relative": {"type": "sum", "parameters": {"signs": "+-"}},
+        "relative_rate": {"type": "sum", "parameters": {"signs": "+-"}},
+        "back": {"type": "gain", "parameters": {"gain": -1.0}},
+    }
+    moved = {"rotor.displacement": "relative.output", "rotor.velocity": "relative_rate.output"}
+    machine["wires"] = [[moved.get(one, one), other] for one, other in machine["wires"]] + [
+        ["rotor.displacement", "relative.input1"],
+        ["casing.displacement[1]", "relative.input2"],
+        ["rotor.velocity", "relative_rate.input1"],
+        ["casing.velocity[1]", "relative_rate.input2"],
+        ["amb.force", "back.input"],
+        ["back.output", "casing.force[1]"],
+    ]
+    k = 4e5
+    found = critical_speed_map(load(machine), stiffness=[1e5, k, 2e6])
+    truth = np.sqrt(np.linalg.eigvals(np.array([[(1e6 + k) / 2, -k / 2], [-k / 10, (k + 2e6) / 10]])))
+    assert found.speeds[1] == pytest.approx(np.sort(truth), rel=1e-9)
+    hz, stiffness = found.bearings["amb"]
+    assert stiffness == pytest.approx(4e5 + 100j * 2 * np.pi * hz, rel=1e-9)
+    wide = critical_speed_map(load(machine))
+    assert sorted(speed for *_, speed in wide.crossings) == pytest.approx(np.sort(truth), rel=1e-9)
+
+
 @pytest.mark.parametrize("stiffness", [[], [0.0], [2.0, 1.0], [float("nan")]])
 def test_stiffnesses_that_cannot_be(stiffness: list[float]) -> None:
     with pytest.raises(RotorsimError) as caught:
