@@ -13,6 +13,7 @@ from rotorsim.errors import RotorsimError
 MET, NOT_MET, UNSURE, NOT_JUDGED = "met", "not met", "unsure", "not judged"
 ISO_2, ISO_3, ISO_4 = "ISO 14839-2:2004", "ISO 14839-3:2006", "ISO 14839-4:2012"
 API_617, API_684 = "API 617 (8th ed., 2014)", "API RP 684 (2nd ed., 2005)"
+RUNNING_TEST = f"{API_617}, mechanical running test"
 
 
 @dataclass(frozen=True)

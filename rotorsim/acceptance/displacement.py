@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorsim.acceptance.conditions import Conditions
-from rotorsim.acceptance.criterion import API_617, ISO_2, MET, UNSURE, Criterion, Part, judged, not_judged
+from rotorsim.acceptance.criterion import ISO_2, MET, RUNNING_TEST, UNSURE, Criterion, Part, judged, not_judged
 from rotorsim.acceptance.limits import vibration_limit
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.loop import linear_system
@@ -24,7 +24,6 @@ from rotorsim.signals.turning import is_run_up
 
 DISPLACEMENT_ZONES = ((0.3, "A"), (0.4, "B"), (0.5, "C"))  # of the least radial clearance
 DISPLACEMENT_TITLE, CLAUSE, WHAT = "Displacement against the clearance", f"{ISO_2}, table 1", "D_max / C_min"
-RUNNING_TEST = f"{API_617}, mechanical running test"
 NO_CLEARANCE = "no clearance is given: --clearance"
 NEAR_HIGHEST = 0.02  # of the largest operating speed, within which it counts as recorded
 SPEEDS = 9  # of the operating range, at which the settled motion is computed

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorsim.acceptance.conditions import Conditions
-from rotorsim.acceptance.criterion import API_684, MET, Criterion, Part, judged
+from rotorsim.acceptance.criterion import API_684, MET, RUNNING_TEST, Criterion, Part, judged
+from rotorsim.acceptance.limits import vibration_limit
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.orders.critical_speeds import CriticalSpeed, CriticalSpeeds, critical_speeds
@@ -53,6 +54,7 @@ def _passed(title: str, recording: Recording | OrderRecording, given: Conditions
         if not found.explained:
             notes.append(f"{run.id}: the modes leave {found.excess:.3g} times the variance of the noise")
         made += [_criterion(one, run.id, given) for one in found.found]
+        made += _vibration(run, recording.channels, given)
         low, high = float(found.speed.min()), float(found.speed.max())
         where = f"{run.id}, {low * 30 / np.pi:.5g} to {high * 30 / np.pi:.5g} rpm"
         short = _not_covered(low, high, given)
@@ -63,6 +65,24 @@ def _passed(title: str, recording: Recording | OrderRecording, given: Conditions
         if not found.found and not found.explained:
             made.append(Criterion(CLAUSE, WHAT, where, source="measured", said="no critical speed is told"))
     return Part(title, tuple(made), tuple(notes), tuple(results))
+
+
+def _vibration(run: OrderRun, channels: Mapping[str, OrderChannel], given: Conditions) -> list[Criterion]:
+    """Judge the largest 1X of the displacements at operating speeds, a part of the vibration, against A_vl."""
+    inside = (run.speed >= given.lowest * (1 - IN_RANGE)) & (run.speed <= given.highest * (1 + IN_RANGE))
+    sizes = []
+    for name, one in channels.items():
+        if one.order == 1 and one.signal.endswith("displacement") and name in run.vectors:
+            size = np.where(inside & np.isfinite(run.vectors[name]), np.abs(run.vectors[name]), -np.inf)
+            if inside.any() and np.isfinite(size.max()):
+                sizes.append((2 * float(size.max()), float(run.speed[size.argmax()]), one.name))
+    if not sizes:
+        return []
+    largest, speed, name = max(sizes)
+    where = f"{name} at {speed * 30 / np.pi:.5g} rpm, {run.id}"
+    limit = vibration_limit(given.highest) * 1e6
+    what = "1X of the vibration, peak to peak"
+    return [Criterion(RUNNING_TEST, what, where, largest * 1e6, limit, "um", source="measured")]
 
 
 def _not_covered(low: float, high: float, given: Conditions) -> str:

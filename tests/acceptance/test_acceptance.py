@@ -419,6 +419,9 @@ def test_a_critical_speed_that_was_passed_has_its_separation(passed) -> None:
     assert found[0].limit == pytest.approx(17 * (1 - 1 / (1 / 0.06 - 1.5)), rel=0.01)
     assert (found[0].verdict, found[0].source) == ("met", "measured")
     assert of(accept(None, passed, operating=(290.0, 480.0)), "separation margin")[0].verdict == "not met"
+    vibration = of(accept(None, passed, operating=(290.0, 480.0)), "1X of the vibration, peak to peak")[0]
+    assert vibration.value == pytest.approx(2e6 * np.abs(passed.runs[0].vectors["x 1X"]).max(), rel=0.01)
+    assert (vibration.limit, vibration.verdict) == (pytest.approx(25.4), "not met")
 
 
 def test_a_run_up_that_does_not_pass_all_operating_speeds_does_not_tell_that_there_is_none(passed) -> None:

@@ -69,7 +69,7 @@ def test_recordings_beside_the_diagram_and_the_report(run: Run) -> None:
     found = run("accept", "jeffcott", "swept", "runup", "steady", *GIVEN, "--out", "acceptance")
     assert found.stderr.splitlines()[-1] == "wrote acceptance/report.html and 10 files beside it"
     measured = [line.split("  ")[0] for line in found.stdout.splitlines() if ", measured" in line]
-    assert measured == ["not met", "not met", "met", "met", "met"]  # two peaks, a critical speed, D_max, vibration
+    assert measured == ["not met", "not met", "met", "met", "met", "met"]  # 2 peaks, N_c, 1X, D_max, vibration
     assert "note: run01: 1500 rpm, outside of the operating speeds; not counted" in found.stdout
     page = Path("acceptance/report.html").read_text()
     assert page.count("<figure>") == 9
@@ -81,7 +81,10 @@ def test_recordings_beside_the_diagram_and_the_report(run: Run) -> None:
         "jeffcott",
     ]
     alone = run("accept", "runup", "--operating", "9000 rpm:9500 rpm")
-    assert (alone.exit_code, alone.stdout.splitlines()[-1]) == (0, "verdict: met (1 met)")
+    lines = alone.stdout.splitlines()
+    assert (alone.exit_code, lines[-1]) == (1, "verdict: not met (1 met, 1 not met)")
+    assert any(line.startswith("met") and "N_c 7331 rpm" in line for line in lines)
+    assert any(line.startswith("not met") and "1X of the vibration" in line for line in lines)
 
 
 @pytest.mark.parametrize(
