@@ -83,7 +83,8 @@ def _locus_text(found: RootLocus) -> str:
     ]
     text = table((f"{found.parameter}{unit}", "least damped [Hz]", "damping ratio", "machine"), rows)
     limits = [f"limit of stability: {one.value:.6g}{unit}, at {one.frequency:.4f} Hz" for one in found.limits]
-    return "\n\n".join([text, "\n".join(limits) or "no limit of stability between these values"])
+    same = "stable" if found.stable[0] else "unstable"
+    return "\n\n".join([text, "\n".join(limits) or f"{same} at all of these values"])
 
 
 def _text(result: Modes) -> str:

@@ -23,6 +23,7 @@ from rotorsim.cli.shared import (
 
 if TYPE_CHECKING:
     from rotorsim.linear.step_response import StepResponse
+ZERO_FINAL = 1e-6  # of the largest value: what integral action makes zero, but for rounding
 
 
 @click.command("step")
@@ -66,11 +67,14 @@ def _text(found: StepResponse) -> str:
             unit = (
                 above if below == "1" else f"{above}/({below})" if any(c in below for c in " /") else f"{above}/{below}"
             )
+            final = f"{one.final:.5g} {unit}" if isfinite(one.final) else "-"
+            if abs(one.final) <= ZERO_FINAL * abs(one.largest):
+                final = f"0 {unit}"
             rows.append(
                 (
                     one.input,
                     one.output,
-                    f"{one.final:.5g} {unit}" if isfinite(one.final) else "-",
+                    final,
                     f"{one.largest:.5g} {unit}",
                     f"{1e3 * one.at:.4g}",
                     f"{100 * one.overshoot:.3g} %" if isfinite(one.overshoot) else "-",

@@ -16,6 +16,7 @@ from rotorsim.linear.linearisation import as_model, provenance
 from rotorsim.linear.loop import growing_poles, linear_system
 from rotorsim.model.compiled import Model
 
+ROUNDING = 1e-14  # of the range of values: a limit at zero has no relative width
 LIMIT = 1e-9  # relative width to which a limit of stability is found
 
 
@@ -101,7 +102,8 @@ def root_locus(
     limits = []
     for k in np.flatnonzero(stable[:-1] != stable[1:]):
         low, high = grid[k], grid[k + 1]
-        while high - low > LIMIT * max(abs(low), abs(high)):
+        least = ROUNDING * (grid[-1] - grid[0])
+        while high - low > max(LIMIT * max(abs(low), abs(high)), least):
             middle = (low + high) / 2
             low, high = (middle, high) if (not len(at(middle)[1])) == stable[k] else (low, middle)
         grown = at(low if stable[k + 1] else high)[1]

@@ -91,7 +91,7 @@ def test_a_step_into_a_sampled_loop_is_that_of_the_simulation() -> None:
 
 def test_what_integral_action_makes_zero_has_no_overshoot() -> None:
     pid = {"type": "pid", "parameters": {"KP": 12500.0, "KI": 1e6, "KD": 10.0}}
-    found = step_response(load(jeffcott(4e5, 150.0, pid)), "amb.force", "rotor.displacement[1]")
+    found = step_response(load(jeffcott(4e5, 150.0, pid)), "amb.force", "rotor.displacement[1]", stop=1.0)
     numbers = found.numbers[0]
     assert abs(numbers.final) < 1e-9 * numbers.largest
     assert np.isnan(numbers.overshoot)
@@ -105,6 +105,33 @@ def test_a_loop_that_is_not_stable_has_no_final_value() -> None:
     with pytest.raises(RotorsimError) as caught:
         step_response(load("jeffcott"), "amb.force", "rotor.displacement", stop=-1.0)
     assert str(caught.value) == "error: stop: must be positive and finite [s]"
+
+
+def test_the_first_peak_is_seen_whatever_slow_poles_there_are() -> None:
+    """jeffcott: 121 Hz, and an integral of -0.01 1/s."""
+    found = step_response(load("jeffcott"), "amb.force", "rotor.displacement[1]").numbers[0]
+    short = step_response(load("jeffcott"), "amb.force", "rotor.displacement[1]", stop=0.02).numbers[0]
+    notes = step_response(load("jeffcott"), "amb.force", "rotor.displacement[1]").notes
+    assert any("is slower than the" in note for note in notes)
+    assert (found.largest, found.at) == (pytest.approx(short.largest, rel=1e-3), pytest.approx(short.at, abs=1e-4))
+
+
+def test_what_never_comes_to_rest_has_no_final_value() -> None:
+    """A body that no bearing holds, and an oscillation without damping."""
+    free = jeffcott(4e5, 150.0)
+    free["wires"] = [wire for wire in free["wires"] if wire != ["amb.force", "rotor.force"]]
+    free["blocks"]["rotor"]["parameters"]["stiffness"] = "0 N/m"
+    for machine in (free, jeffcott(4e5, 0.0)):
+        for one in step_response(load(machine), "unbalance.force", "rotor.displacement[1]", stop=0.5).numbers:
+            assert np.isnan(one.final) or one.largest == 0.0
+
+
+def test_integral_action_of_a_stiff_machine_is_told() -> None:
+    """A step of a sensor's signal is followed to -1 by the integral, however fast the poles of the shaft are."""
+    found = step_response(load("two_amb_rotor"), "controller_a.displacement", "rotor.displacement[3]")
+    assert [one.final for one in found.numbers if one.output[-3:-1] == one.input[-2:-1].rjust(2, ",")] == pytest.approx(
+        [-1.0, -1.0], rel=1e-4
+    )
 
 
 @pytest.fixture
