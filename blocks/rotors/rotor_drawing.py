@@ -20,6 +20,10 @@ def _free(option: Any) -> tuple[int, int]:
     return 2 * len(_mesh(option).ends), 2
 
 
+MOST_BEAMS = 500  # that a drawing is meshed with
+FITS = 0.02  # of a diameter, by which a bore may be narrower than the shaft
+
+
 class RotorDrawing(Block):
     """Move the rotor of a drawing: sections, discs, and stations where forces act and motion is seen.
 
@@ -102,6 +106,33 @@ class RotorDrawing(Block):
         ):
             problems += self._walls(prefix, what, len(lengths), given)
         problems += self._massless(given)
+        problems += self._bores(given)
+        if option.longest_element and total / option.longest_element > MOST_BEAMS:
+            what = f"makes more than {MOST_BEAMS} beams of {total * 1e3:g} mm"
+            problems.append(("longest_element", (), what, "a twelfth of the shaft is the default"))
+        return problems
+
+    def _bores(self, given):
+        """Refuse discs whose bore is narrower than the shaft within them: its material would count twice."""
+        shaft, bores, widths = (
+            given.get(name) for name in ("outer_diameter", "drawn_disc_inner_diameter", "drawn_disc_width")
+        )
+        count, borders = len(self.option.drawn_disc_positions), [0.0, *accumulate(self.option.section_lengths)]
+        if shaft is None or widths is None or not count:
+            return []
+        shaft, widths = full(shaft, len(borders) - 1), full(widths, count)
+        bores = full(0.0 if bores is None else bores, count)
+        if not (len(shaft) == len(borders) - 1 and len(widths) == len(bores) == count):  # said elsewhere
+            return []
+        problems = []
+        for k, (z, width, bore) in enumerate(zip(self.option.drawn_disc_positions, widths, bores, strict=True)):
+            within = [
+                d for (a, b), d in zip(pairwise(borders), shaft, strict=True) if a < z + width / 2 and b > z - width / 2
+            ]
+            if within and bore < min(within) * (1 - FITS):
+                what = f"of disc {k + 1} is {bore * 1e3:g} mm, and the shaft in it {min(within) * 1e3:g} mm"
+                hint = "give the shaft's diameter: its material would count twice"
+                problems.append(("drawn_disc_positions", (k,), f"the bore {what}", hint))
         return problems
 
     def _walls(self, prefix, what, count, given):

@@ -154,3 +154,18 @@ def test_a_parameter_that_an_option_follows_does_not_change_in_a_compiled_model(
     with pytest.raises(RotorsimError) as caught:
         simulate_many(made, {"longest": [0.02, 0.03]}, stop=1e-3)
     assert str(caught.value) == expected
+
+
+def test_a_disc_whose_bore_is_narrower_than_the_shaft_would_count_it_twice() -> None:
+    disc = {"drawn_disc_positions": ["0.2 m"], "drawn_disc_outer_diameter": "150 mm", "drawn_disc_width": "40 mm"}
+    assert written(drawn(**disc)) == [
+        "rotor.drawn_disc_positions: the bore of disc 1 is 0 mm, and the shaft in it 50 mm | "
+        "give the shaft's diameter: its material would count twice"
+    ]
+    load(drawn(**disc, drawn_disc_inner_diameter="50 mm"))
+
+
+def test_a_mesh_of_very_many_beams_is_refused() -> None:
+    assert written(drawn(longest_element="0.1 mm")) == [
+        "rotor.longest_element: makes more than 500 beams of 400 mm | a twelfth of the shaft is the default"
+    ]
