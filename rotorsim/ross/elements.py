@@ -268,7 +268,13 @@ def _say_lost(file: RossFile, problems: Problems) -> None:
     if file.version or axial or any(kind.endswith("6DoF") for kind in kinds):
         problems.warning("axial and torsional motion are not carried over", place=file.place)
     for key, what in (("axial_force", "axial_force"), ("torque", "torque")):
-        _say(file, [table for table in file.tables if _acts(table, key)], f"{what} is not carried over", key, problems)
+        _say(
+            file,
+            [table for table in file.tables if _acts(table, key)],
+            f"{what} is not carried over, which changes the modes",
+            key,
+            problems,
+        )
     for table in file.tables:
         given = [key for key in AXIAL if _acts(table, key)]
         if given:

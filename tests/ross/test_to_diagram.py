@@ -173,8 +173,14 @@ def test_what_is_not_carried_over_is_said(read: Import) -> None:
     assert sorted(str(problem) for problem in read(text).warnings) == sorted(
         [
             AXIAL,
-            warning("axial_force = 100.0", f"{first} (and 4 more)", "axial_force is not carried over"),
-            warning("torque = 5.0", "ShaftElement_Shaft Element 2", "torque is not carried over"),
+            warning(
+                "axial_force = 100.0",
+                f"{first} (and 4 more)",
+                "axial_force is not carried over, which changes the modes",
+            ),
+            warning(
+                "torque = 5.0", "ShaftElement_Shaft Element 2", "torque is not carried over, which changes the modes"
+            ),
             warning('shear_method_calc = "hutchinson"', f"{first} (and 4 more)", shear),
             warning(f'["{pad}"]', pad, "acts along the axis only: left out"),
             warning(f'["{pad}"]', pad, f"class 'ThrustPad' {alone}"),
