@@ -21,13 +21,13 @@ from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
 
 POINTS_OF_STEP = 2001  # at least
-MOST_POINTS = 100_000
+MOST_TIMES = 100_000
 POINTS_OF_PERIOD = 20.0  # of the fastest oscillation that may resonate, up to 2 kHz
 FASTEST, LONGEST = 2000.0, 1000.0  # Hz; s
 SLOWEST_DECAYS = 6.0  # time constants of the slowest oscillation: default length
-DOUBLINGS = 80  # of the time, within which a response has come to rest or never does
+TIME_DOUBLINGS = 80  # of the time, within which a response has come to rest or never does
 UNDAMPED = 1e-9  # damping ratio of an oscillation that does not end
-AT_REST = 1e-9  # of the largest: change of the response while the time is doubled, four times one after the other
+COME_TO_REST = 1e-9  # of the largest: change of the response while the time is doubled, four times one after the other
 SETTLED_BAND = 0.02  # of the final value, or of the largest where that is nearly zero, within which it has settled
 NEARLY_NOTHING = 0.01  # of the largest value: a final value that integral action makes zero
 
@@ -98,7 +98,7 @@ def step_response(
     end = _length(poles) if stop is None else float(stop)
     step = min(end / (POINTS_OF_STEP - 1), 1 / (POINTS_OF_PERIOD * _fastest(poles)))
     notes = (*notes, *_said(poles, end, step))
-    step = max(step, end / (MOST_POINTS - 1))
+    step = max(step, end / (MOST_TIMES - 1))
     time, value = _sampled(system, end) if isinstance(system, SampledData) else _continuous(system, end, step)
     given = model.trace.external[input]
     outputs, inputs = tuple(flat_names(model, output)), tuple(entry_names(given.name, given.shape))
@@ -149,9 +149,9 @@ def _said(poles: np.ndarray, end: float, step: float) -> list[str]:
     slow = -poles.real[(poles.real < 0) & (-poles.real * end < 1.0)]
     if len(slow):
         said.append(f"a pole at {-slow.min():.3g} 1/s is slower than the {end:.3g} s that are shown: --stop")
-    if step < end / (MOST_POINTS - 1) * (1 - 1e-9):
+    if step < end / (MOST_TIMES - 1) * (1 - 1e-9):
         said.append(
-            f"points {end / (MOST_POINTS - 1):.3g} s apart are too few for {_fastest(poles):.4g} Hz: a shorter --stop"
+            f"points {end / (MOST_TIMES - 1):.3g} s apart are too few for {_fastest(poles):.4g} Hz: a shorter --stop"
         )
     return said
 
@@ -176,9 +176,9 @@ def _continuous(system: StateSpace, end: float, step: float) -> tuple[np.ndarray
 def _sampled(system: SampledData, end: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the response at every hit, and in the middle between hits."""
     hits = math.ceil(end / system.period) * len(system.jumps)
-    if hits > MOST_POINTS:
-        hint = f"--stop '{MOST_POINTS * system.period / len(system.jumps):.2g} s' at most"
-        raise RotorsimError(Problem(f"{hits} hits of samplers, at most {MOST_POINTS}", "stop", hint=hint))
+    if hits > MOST_TIMES:
+        hint = f"--stop '{MOST_TIMES * system.period / len(system.jumps):.2g} s' at most"
+        raise RotorsimError(Problem(f"{hits} hits of samplers, at most {MOST_TIMES}", "stop", hint=hint))
     flow, halves = system.flow, {}
     x, values, times = np.zeros_like(flow.B), [], []
     start = 0.0
@@ -218,11 +218,11 @@ def _final(system: StateSpace | SampledData, step: float) -> np.ndarray:
     still = np.zeros(D.shape, int)
     found = np.full(D.shape, np.nan)
     with np.errstate(all="ignore"):
-        for _ in range(DOUBLINGS):
+        for _ in range(TIME_DOUBLINGS):
             M, g = M @ M, M @ g + g
             now = C @ g + D
             largest = np.maximum(largest, np.abs(now))
-            still = np.where(np.abs(now - before) <= AT_REST * largest, still + 1, 0)
+            still = np.where(np.abs(now - before) <= COME_TO_REST * largest, still + 1, 0)
             found = np.where((still >= 4) & np.isnan(found), now, found)
             before = now
             if not np.isfinite(g).all():
