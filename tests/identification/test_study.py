@@ -253,7 +253,7 @@ def test_smallest_crack():
 def test_controllers_are_compared():
     """Only the integral action tells the bearing's stiffness from the current's share in a regression."""
     found = compare_controllers(study(1140, 1620, noise=(0.02,), seeds=3), scheduler="synchronous")
-    assert {"discrete_pid", "state_space"} == set(found.left_out)
+    assert {"discrete_pid", "modal_pid", "state_space"} == set(found.left_out)
     case = Case("white", 0.02, 0.0)
     errors = {name: result.row("force_displacement_factor", case).rms_percent for name, result in found.results.items()}
     assert errors["pd"] > 10 * errors["pid"]
