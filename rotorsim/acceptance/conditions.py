@@ -122,7 +122,7 @@ def is_length(model: Model, name: str) -> bool:
     unit = model.select(name)[0].unit
     block, _, _ = base.rpartition(".")
     node = model.diagram.nodes[block]
-    if unit in ("m",):
+    if unit == "m":
         return True
     if node.block.type_name != "sum":
         return False

@@ -30,9 +30,8 @@ UNBALANCE_TITLE = "Response to unbalance"
 VIBRATION, SEPARATION, CLEARANCE = (f"{API_684}, SP6.8.2.{n}" for n in (8, 10, 12))
 LOWEST_SHARE = 0.02  # of the trip speed, from which on the response is computed
 SPEED_POINTS = 81  # speeds over all
-NEAR_A_POLE = np.array(
-    [-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0]
-)  # half widths: speeds at every pole, and again at every maximum found
+NEAR_A_POLE = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])  # half widths of a pole: speeds beside it
+NOT_LOOKED_FOR = "modes that no plane of unbalance excites are not looked for: a controller is sampled"
 TWINS = 1e-3  # relative distance of critical speeds of two planes
 SPEED_RESOLUTION = 2e-4  # of the largest speed, between speeds around a maximum
 MOST_OPPOSED = 5  # planes, of which all combinations of signs are tried
@@ -230,11 +229,12 @@ def _judged(model: Model, found: UnbalanceCases, given: Conditions) -> Part:
     rotors = ", ".join(f"{name} of {mass:.4g} kg" for name, mass in found.masses.items())
     amounts = ", ".join(dict.fromkeys(f"{amount * 1e6:.4g}" for amount in found.unbalances))
     words = f"U_a = {amounts} g mm: twice 6350 W / N, {rotors}"
+    notes = (words, *((NOT_LOOKED_FOR,) if model.n_z else ()), *found.response.notes)
     ill = speeds[~found.response.stable & (found.response.speeds <= given.trip * (1 + 1e-9))]
     if len(ill):
         said = f"no settled response: unstable from {ill[0]:.5g} to {ill[-1]:.5g} rpm"
         failed = Criterion(VIBRATION, "response to unbalance", stated=NOT_MET, said=said)
-        return Part(UNBALANCE_TITLE, (failed,), (words, *found.response.notes))
+        return Part(UNBALANCE_TITLE, (failed,), notes)
     made: list[Criterion] = []
     inside = _within(found.response.speeds, given)
     for j, plane in enumerate(found.response.planes):
@@ -255,7 +255,7 @@ def _judged(model: Model, found: UnbalanceCases, given: Conditions) -> Part:
         limit = CLEARANCE_SHARE * 2 * found.clearance[i] * 1e6
         largest, what = float(curves[n, j]) * 1e6, "S_cc A, peak to peak"
         made.append(Criterion(CLEARANCE, what, where, largest, limit, "um", said="0 to trip speed"))
-    return Part(UNBALANCE_TITLE, tuple(made), (words, *found.response.notes), (found,))
+    return Part(UNBALANCE_TITLE, tuple(made), notes, (found,))
 
 
 def _separations(found: UnbalanceCases) -> Iterator[Criterion]:
