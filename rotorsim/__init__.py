@@ -22,6 +22,7 @@ _HOME = {
     "RotorsimError": "errors",
     "Run": "recordings.recording",
     "accept": "acceptance.acceptance",
+    "amplitudes": "report.amplitudes",
     "campbell": "linear.campbell",
     "check_signals": "measure.checks",
     "compile_diagram": "model.compiled",

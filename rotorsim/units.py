@@ -19,6 +19,7 @@ from rotorsim.errors import near_miss
 
 Dimension = tuple[int, ...]
 BASES = ("m", "kg", "s", "A", "K", "rad", "mol", "cd")
+AMPLITUDE_KINDS = {"0-peak": 1.0, "peak-peak": 2.0, "rms": math.sqrt(0.5)}  # of a sinusoid: factor from 0-peak
 _NONE: Dimension = (0,) * len(BASES)
 _REVOLUTION = 2.0 * math.pi
 

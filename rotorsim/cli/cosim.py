@@ -13,6 +13,7 @@ import click
 from rotorsim.cli.shared import (
     RESULTS,
     Chosen,
+    amplitude_option,
     clock_of,
     diagram_argument,
     file_option,
@@ -80,6 +81,7 @@ Hear = Callable[[str, float, str, str, str], None]  # block, time, status, categ
 @click.option("--log", "log", metavar="FILE", help="Write all that the FMUs say, every category; - is the terminal.")
 @parameter_options
 @progress_option
+@amplitude_option
 @json_option
 def command(
     chosen: Chosen,

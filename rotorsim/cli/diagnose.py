@@ -10,6 +10,7 @@ import click
 
 from rotorsim.cli.shared import (
     Chosen,
+    amplitude_option,
     check_folder,
     diagram_argument,
     hold_out_option,
@@ -49,6 +50,7 @@ EITHER = "--sensors rotor.displacement,controller.current asks what could be tol
 @jobs_options
 @parameter_options
 @progress_option
+@amplitude_option
 @json_option
 def command(
     chosen: Chosen,

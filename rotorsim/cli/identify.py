@@ -9,6 +9,7 @@ import click
 
 from rotorsim.cli.shared import (
     Chosen,
+    amplitude_option,
     check_folder,
     diagram_argument,
     given_options,
@@ -62,6 +63,7 @@ USE_WORDS = {"identify": "identified from", "hold_out": "held out"}
     help="Elimination of what was not measured, in the regression; central: as in the thesis.",
 )
 @given_options
+@amplitude_option
 @json_option
 def command(
     chosen: Chosen,

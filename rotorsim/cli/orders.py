@@ -11,6 +11,7 @@ import numpy as np
 
 from rotorsim.cli.shared import (
     Chosen,
+    amplitude_option,
     check_folder,
     given_options,
     is_recording,
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from rotorsim.signals.orders.extraction import Positions
 
 FIGURE_KINDS = ("bode", "polar", "cascade", "centreline")
-AMPLITUDES, PHASE_WORDS = ("0-peak", "peak-peak", "rms"), ("lead", "lag")  # those of rotorsim.recordings.orders
+PHASE_WORDS = ("lead", "lag")  # those of rotorsim.recordings.orders
 CASCADE_WINDOWS = 15.0  # of a run, one after the other: a window is as long
 
 
@@ -64,9 +65,9 @@ class Given:
 @click.option("--figure", type=click.Choice(FIGURE_KINDS), default="bode", show_default=True, help="What is drawn.")
 @plot_option("the figure of one run and its first order")
 @click.option("--out", metavar="FOLDER", help="Write the vectors: recording.json of kind 'orders' and a CSV a run.")
-@click.option("--amplitude", type=click.Choice(AMPLITUDES), default="0-peak", show_default=True, help="In --out.")
 @click.option("--phase", type=click.Choice(PHASE_WORDS), default="lead", show_default=True, help="In --out.")
 @click.option("--overwrite", is_flag=True, help="Replace files that are in the folder of --out.")
+@amplitude_option
 @json_option
 def command(
     chosen: Chosen,
@@ -80,7 +81,6 @@ def command(
     figure: str,
     plot: str | None,
     out: str | None,
-    amplitude: str,
     phase: str,
     overwrite: bool,
     as_json: bool,
@@ -136,8 +136,10 @@ def command(
         save_plot(lambda: _figure(figure, given, found[0], names, simulated, beside or "", span), plot)
     if out:
         from rotorsim.recordings.order_writing import save_orders
+        from rotorsim.report.amplitudes import shown_amplitudes
 
-        note(f"written: {save_orders(out, tracked, amplitude=amplitude, phase=phase, overwrite=overwrite)}")
+        folder = save_orders(out, tracked, amplitude=shown_amplitudes(), phase=phase, overwrite=overwrite)
+        note(f"written: {folder}")
     show(as_json, lambda: text.orders_data(tracked, found, span), lambda: words)
     untold = [f"{one.run}, {one.order}X" for one in found if not (one.found or one.explained)]
     hint = "a speed that turns back, a rub, a clipped probe? the figure shows what the modes leave"

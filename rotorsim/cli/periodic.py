@@ -9,6 +9,7 @@ import click
 
 from rotorsim.cli.shared import (
     Chosen,
+    amplitude_option,
     diagram_options,
     json_option,
     note,
@@ -37,6 +38,7 @@ LISTED_SHARE = 1e-4  # of the largest harmonic at a speed
 @click.option("--subharmonic", type=click.IntRange(1, 100), default=1, show_default=True, help="Period in turns.")
 @click.option("--record", multiple=True, metavar="SIGNAL", help="Show this signal, not the recorded ones; repeatable.")
 @plot_option("harmonics against speed")
+@amplitude_option
 @json_option
 def command(
     chosen: Chosen,
@@ -109,16 +111,22 @@ def command(
 
 def _table(result: Periodic, name: str) -> str:
     """Return the harmonics of one signal that exceed LISTED_SHARE of the largest at their speed."""
+    import numpy as np
+
+    from rotorsim.report.amplitudes import from_peak, of_amplitude
+
     unit, scale = display_unit(result.units[name])
     shaky = False in result.stable
     lines = []
     for speed, values, stable in zip(result.speeds, result.harmonics[name].tolist(), result.stable, strict=True):
         mark = (("unstable" if stable is False else "settled"),) if shaky else ()
         least = LISTED_SHARE * max((abs(value) for value in values if math.isfinite(abs(value))), default=0.0)
+        sizes = from_peak(np.abs(values), result.orders) * scale
         lines += [
-            (f"{rpm(float(speed)):.6g}", f"{order:g}", f"{abs(value) * scale:.6g}", f"{degrees(value):.2f}", *mark)
-            for order, value in zip(result.orders, values, strict=True)
+            (f"{rpm(float(speed)):.6g}", f"{order:g}", f"{size:.6g}", f"{degrees(value):.2f}", *mark)
+            for order, value, size in zip(result.orders, values, sizes, strict=True)
             if abs(value) > least
         ]
-    header = ("speed [rpm]", "order", f"amplitude [{unit}, 0-peak]", "phase [deg]", *(("motion",) if shaky else ()))
+    amplitude = f"amplitude [{of_amplitude(unit)}]"
+    header = ("speed [rpm]", "order", amplitude, "phase [deg]", *(("motion",) if shaky else ()))
     return f"{name}\n{table(header, lines)}"

@@ -12,6 +12,7 @@ import click
 from rotorsim.cli.shared import (
     RESULTS,
     Chosen,
+    amplitude_option,
     clock_of,
     diagram_options,
     file_option,
@@ -64,6 +65,7 @@ class Output:
 @click.option("--settle", is_flag=True, help="Start in the settled motion, found by harmonic balance: no transient.")
 @click.option("--no-compiler", is_flag=True, help="Use CasADi's virtual machine instead of compiled C (slower).")
 @progress_option
+@amplitude_option
 @json_option
 def command(
     chosen: Chosen,

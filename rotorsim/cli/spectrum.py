@@ -13,6 +13,7 @@ from rotorsim.cli.shared import (
     RECORDING,
     RESULTS,
     Chosen,
+    amplitude_option,
     clock_of,
     given_options,
     is_recording,
@@ -79,6 +80,7 @@ class Wanted:
     help="Smallest line shown, as a share of the largest.",
 )
 @plot_option("the full spectrum of the first signal")
+@amplitude_option
 @json_option
 def command(
     chosen: Chosen,

@@ -11,6 +11,7 @@ import click
 from rotorsim.cli.shared import (
     RESULTS,
     Chosen,
+    amplitude_option,
     diagram_options,
     file_option,
     jobs_options,
@@ -89,6 +90,7 @@ class Drawn:
 )
 @click.option("--no-compiler", is_flag=True, help="Use CasADi's virtual machine instead of compiled C (slower).")
 @progress_option
+@amplitude_option
 @json_option
 def command(
     chosen: Chosen,

@@ -106,7 +106,7 @@ class _Point:
 def campbell(
     diagram: Diagram | Model,
     *,
-    speeds: Sequence[float] | np.ndarray,
+    speeds: Sequence[float | str] | np.ndarray,
     parameters: Mapping[str, Any] | None = None,
     orders: Sequence[int] = (1, 2),
 ) -> Campbell:

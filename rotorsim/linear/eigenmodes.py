@@ -15,6 +15,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.linearisation import LinearSystem, as_model, linearise, speed_of
 from rotorsim.linear.stability import growing
 from rotorsim.model.compiled import Model
+from rotorsim.units import parse_quantity
 
 REAL_POLE = 1e-8  # imaginary part, relative to the largest |eigenvalue|, above which a pole oscillates
 DEGENERATE = 1e-7  # relative distance of eigenvalues that count as one (isotropic rotor without gyroscopic effect)
@@ -222,9 +223,16 @@ def require_speed(model: Model, what: str) -> None:
         )
 
 
-def checked_speeds(speeds: Sequence[float] | np.ndarray, *, zero: bool) -> np.ndarray:
-    """Return speeds [rad/s] as an array. Raises RotorsimError for none, non-finite or negative ones."""
-    values = np.atleast_1d(np.asarray(speeds, float)).ravel()
+def checked_speeds(speeds: Sequence[float | str] | np.ndarray, *, zero: bool) -> np.ndarray:
+    """Return speeds, [rad/s] or with a unit ("1500 rpm"), as an array.
+
+    Raises RotorsimError for none, non-finite or negative ones, and for units of something else.
+    """
+    given = np.atleast_1d(np.asarray(speeds, object)).ravel().tolist()
+    try:
+        values = np.array([parse_quantity(one, "rad/s") if isinstance(one, str) else one for one in given], float)
+    except ValueError as error:
+        raise RotorsimError(Problem(what=str(error), subject="speeds", hint="such as '1500 rpm'")) from None
     lowest_ok = values >= 0 if zero else values > 0
     if not len(values) or not np.isfinite(values).all() or not lowest_ok.all():
         sign = "not negative" if zero else "positive"

@@ -50,7 +50,7 @@ def unbalance_response(
     planes: Sequence[str],
     signals: Sequence[str],
     *,
-    speeds: Sequence[float] | np.ndarray,
+    speeds: Sequence[float | str] | np.ndarray,
     parameters: Mapping[str, Any] | None = None,
 ) -> UnbalanceResponse:
     """Return the settled response of two-axis signals to unbalance in each plane, about the operating point.

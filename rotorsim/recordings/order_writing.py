@@ -14,9 +14,9 @@ import numpy as np
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.files import write_atomically
 from rotorsim.recordings.document import FILE
-from rotorsim.recordings.orders import PHASES, TO_PEAK, OrderRecording, OrderRun
+from rotorsim.recordings.orders import PHASES, OrderRecording, OrderRun
 from rotorsim.recordings.writing import make_folder, write_table
-from rotorsim.units import conversion
+from rotorsim.units import AMPLITUDE_KINDS, conversion
 
 
 def save_orders(
@@ -33,7 +33,7 @@ def save_orders(
     "0-peak", "peak-peak" or "rms"; phase: "lead" or "lag". Runs without times stay so: their rows are successive turns.
     Raises RotorsimError for other words, and files that are there already unless ``overwrite``.
     """
-    for word, known in ((amplitude, TO_PEAK), (phase, PHASES)):
+    for word, known in ((amplitude, AMPLITUDE_KINDS), (phase, PHASES)):
         if word not in known:
             raise RotorsimError(Problem(f"'{word}' says not what numbers are", hint=near_miss(word, known)))
     backward = [run for run in recording.runs if run.sense < 0]
@@ -94,6 +94,8 @@ def _table(
     table["rpm"] = run.speed * 30 / math.pi
     for name, channel in recording.channels.items():
         values = run.vectors.get(name, np.full(len(run.speed), np.nan, complex))
-        table[f"{columns[name]} amplitude"] = np.abs(values) / TO_PEAK[amplitude] / conversion(channel.unit, None)
+        table[f"{columns[name]} amplitude"] = (
+            np.abs(values) * AMPLITUDE_KINDS[amplitude] / conversion(channel.unit, None)
+        )
         table[f"{columns[name]} phase"] = PHASES[phase] * np.degrees(np.angle(values))
     return table

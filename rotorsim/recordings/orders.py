@@ -17,9 +17,8 @@ from rotorsim.recordings.document import EXAMPLES, RECORDING_KEYS, REQUIRED, Doc
 from rotorsim.recordings.loading import load_recording
 from rotorsim.recordings.readers.columns import read_table
 from rotorsim.recordings.recording import ANGLE, TACHO, USES, Channel, Recording
-from rotorsim.units import conversion
+from rotorsim.units import AMPLITUDE_KINDS, conversion
 
-TO_PEAK = {"0-peak": 1.0, "peak-peak": 0.5, "rms": math.sqrt(2.0)}  # word -> factor to 0-peak
 PHASES = {"lead": 1.0, "lag": -1.0}  # word -> sign of a lead
 SLOW_ROLLS = ("included", "subtracted")
 LARGEST_CHANGE = 0.2  # of the speed in a turn: rows further apart are no successive turns
@@ -221,13 +220,13 @@ class _OrderParser(DocumentParser):
         if form is None:
             return None
         self.choice(form, "kind", (self.kind,), (), "recording")
-        amplitude = self.choice(form, "amplitude", tuple(TO_PEAK), (), "recording")
+        amplitude = self.choice(form, "amplitude", tuple(AMPLITUDE_KINDS), (), "recording")
         phase = self.choice(form, "phase", tuple(PHASES), (), "recording")
         slow_roll = self.choice(form, "slow_roll", SLOW_ROLLS, (), "recording") or SLOW_ROLLS[0]
         self.not_empty(form)
         channels = self.channels(form.get("channels", {}))
         runs: list[tuple[OrderRun, _Table]] = []
-        words = TO_PEAK.get(amplitude, 1.0), PHASES.get(phase, 1.0)
+        words = 1.0 / AMPLITUDE_KINDS.get(amplitude, 1.0), PHASES.get(phase, 1.0)
         ids: dict[str, int] = {}
         for k, entry in enumerate(form.get("runs", [])):
             run = self.order_run(entry, ("runs", k), f"run {k + 1}", words)

@@ -46,7 +46,7 @@ _SETUPS: WeakKeyDictionary[Model, _Setup] = WeakKeyDictionary()
 def periodic(
     diagram: Diagram | Model,
     *,
-    speeds: Sequence[float] | np.ndarray | None = None,
+    speeds: Sequence[float | str] | np.ndarray | None = None,
     parameters: Mapping[str, Any] | None = None,
     harmonics: int | None = None,
     signals: Sequence[str] | None = None,

@@ -35,10 +35,10 @@ class Resonance:
 class RunUp:
     """A run-up turn by turn.
 
-    speed, samples (n,): as they were recorded, [rad/s] and SI less the mean of the turn. speeds, peaks (turns,): speed
-    in the middle of each turn, largest |x| in it. orders: k -> |R_k| (turns,), 0-peak; NaN where a window of some turns
-    does not fit. resonance [rad/s], peak: of the largest turn after the start transient; ``rises``: it is among the
-    last three, so that the resonance lies beyond.
+    speed, samples (n,): as they were recorded, [rad/s] and SI less the mean of the turn. speeds, peaks, spans, rms
+    (turns,): speed in the middle of each turn, largest |x|, max x - min x and rms in it. orders: k -> |R_k| (turns,),
+    0-peak; NaN where a window of some turns does not fit. largest: number of the largest turn after the
+    start transient; ``rises``: it is among the last three, so that the resonance lies beyond.
     """
 
     signal: str
@@ -47,10 +47,25 @@ class RunUp:
     samples: np.ndarray
     speeds: np.ndarray
     peaks: np.ndarray
+    spans: np.ndarray
+    rms: np.ndarray
     orders: Mapping[int, np.ndarray]
-    resonance: float
-    peak: float
+    largest: int
     rises: bool
+
+    @property
+    def resonance(self) -> float:
+        """Speed of the largest turn [rad/s]."""
+        return float(self.speeds[self.largest])
+
+    @property
+    def peak(self) -> float:
+        """Largest |x| in the largest turn."""
+        return float(self.peaks[self.largest])
+
+    def sizes(self, shown: str) -> np.ndarray:
+        """Return the size of each turn as amplitudes are shown, (turns,): "0-peak", "peak-peak" or "rms"."""
+        return {"0-peak": self.peaks, "peak-peak": self.spans, "rms": self.rms}[shown]
 
     def resonances(self) -> tuple[Resonance, ...]:
         """Return the largest resonance of every order that has one: a maximum that rises out of its flanks."""
@@ -106,7 +121,8 @@ def run_up(result: Result, signal: str, *, speed: str = SPEED_SIGNAL, orders: Se
     means[-1] -= samples[starts[-1] :].sum()
     middles = (starts[:-1] + starts[1:]) // 2
     about = samples - np.interp(np.arange(len(samples)), middles, means / counts)
-    peaks = np.array([np.abs(about[a:b]).max() for a, b in pairwise(starts)])
+    inside = [about[a:b] for a, b in pairwise(starts)]
+    peaks = np.array([np.abs(turn).max() for turn in inside])
     begin = _transient(peaks)
     best = begin + int(np.argmax(peaks[begin:]))
     return RunUp(
@@ -116,9 +132,10 @@ def run_up(result: Result, signal: str, *, speed: str = SPEED_SIGNAL, orders: Se
         about,
         speeds[middles],
         peaks,
+        np.array([np.ptp(turn) for turn in inside]),
+        np.array([np.sqrt(np.mean(turn**2)) for turn in inside]),
         {int(k): _order(about, theta, starts, int(k)) for k in orders},
-        float(speeds[middles[best]]),
-        float(peaks[best]),
+        best,
         best >= turns - WINDOW_TURNS,
     )
 

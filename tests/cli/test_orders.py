@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from rotorsim import load_orders
-from rotorsim.cli.orders import AMPLITUDES, PHASE_WORDS
+from rotorsim.cli.orders import PHASE_WORDS
 from rotorsim.recordings.order_writing import save_orders
-from rotorsim.recordings.orders import PHASES, TO_PEAK
+from rotorsim.recordings.orders import PHASES
 from rotorsim.signals.orders.extraction import tracked_recording
 from rotorsim.signals.orders.resonance import peak_of
 from tests.cli.conftest import Run
@@ -85,7 +85,6 @@ def test_figures_are_drawn(run: Run, figure: str) -> None:
 
 
 def test_words_of_the_command_are_those_of_the_tables() -> None:
-    assert tuple(TO_PEAK) == AMPLITUDES
     assert tuple(PHASES) == PHASE_WORDS
 
 

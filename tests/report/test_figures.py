@@ -58,7 +58,7 @@ def test_a_run_up_figure_names_resonances_and_peaks(tmp_path):
     result = simulate(load("jeffcott_runup"), record_every=5)
     made = drawn(overview(result), tmp_path / "r.png")
     texts = legend(made.axes[0])
-    assert texts[:4] == ["peak of each turn", "1X", "2X", "3X"]
+    assert texts[:4] == ["each turn, 0-peak", "1X", "2X", "3X"]
     assert texts[4].startswith("1X at 73")
     assert texts[4].endswith("um, 0-peak")
     assert texts[5].startswith("2X at 36")

@@ -28,6 +28,7 @@ from rotorsim.cli.shared.inputs import (
 from rotorsim.cli.shared.options import (
     RESULTS,
     Group,
+    amplitude_option,
     diagram_argument,
     diagram_options,
     file_option,
@@ -68,6 +69,7 @@ __all__ = [
     "RESULTS",
     "Chosen",
     "Group",
+    "amplitude_option",
     "band_of",
     "check_folder",
     "clock_of",

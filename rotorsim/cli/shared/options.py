@@ -11,6 +11,7 @@ import click
 from rotorsim.cli.shared.inputs import Chosen, check_target
 from rotorsim.diagram.solver import SOLVER_METHODS
 from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.units import AMPLITUDE_KINDS
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -90,6 +91,24 @@ def _chosen(function: Callable[..., Any]) -> Callable[..., Any]:
 given_options = _together(set_option, without_option, trust_option, _chosen)
 diagram_options = _together(diagram_argument, given_options)
 parameter_options = _together(set_option, trust_option, _chosen)
+
+
+def _show_amplitudes(context: click.Context, parameter: click.Parameter, shown: str) -> None:
+    """Show amplitudes as asked for until the verb ends."""
+    from rotorsim.report.amplitudes import amplitudes
+
+    context.with_resource(amplitudes(shown))
+
+
+amplitude_option = click.option(
+    "--amplitude",
+    type=click.Choice(list(AMPLITUDE_KINDS)),
+    default="0-peak",
+    show_default=True,
+    expose_value=False,
+    callback=_show_amplitudes,
+    help="How figures and tables show amplitudes of sinusoids; --json stays 0-peak, in SI.",
+)
 jobs_options = _together(
     click.option("--workers", type=click.IntRange(1), metavar="N", help="Processes (default: one for every CPU)."),
     click.option(

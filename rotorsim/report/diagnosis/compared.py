@@ -50,7 +50,7 @@ RESIDUALS = (
     "Noise of a recorder may be coloured: the verdict asks what of the residual can be predicted."
 )
 BODE = (
-    "Amplitude (0-peak) and phase lag of order vectors over the speed, and what each diagram leaves; slow roll is in "
+    "Amplitude and phase lag of order vectors over the speed, and what each diagram leaves; slow roll is in "
     "the simulated ones where it was fitted along."
 )
 ROWS_TITLE = (

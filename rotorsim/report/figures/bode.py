@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, RED, figure, styled
 from rotorsim.units import conversion
 
@@ -31,7 +32,7 @@ class Curve:
 
 
 def bode_figure(measured: Curve, simulated: Sequence[Curve], title: str, unit: str, noise: float) -> Figure:
-    """Return amplitude 0-peak, phase lag and what is left of order vectors over the speed.
+    """Return amplitude, phase lag and what is left of order vectors over the speed.
 
     unit: in which they are shown. noise: standard deviation of their real parts; a phase is shown where the amplitude
     is three times that.
@@ -39,7 +40,7 @@ def bode_figure(measured: Curve, simulated: Sequence[Curve], title: str, unit: s
     with styled():
         made = figure(8.0, 7.6, title)
         amplitude, phase, left = made.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
-        factor = 1.0 / conversion(unit, None)
+        factor = float(from_peak(1.0 / conversion(unit, None)))
         looks: list[tuple[Curve, dict[str, Any]]] = [
             (measured, {"color": INK, "marker": ".", "markersize": 4.0, "linewidth": 0.5})
         ]
@@ -57,7 +58,7 @@ def bode_figure(measured: Curve, simulated: Sequence[Curve], title: str, unit: s
             if curve is not measured:
                 left.plot(speed, np.abs(measured.vectors - curve.vectors) * factor, **look)
         left.axhline(noise * factor * np.sqrt(2.0), color=INK, linewidth=0.8, linestyle="--", label="noise, rms")
-        amplitude.set_ylabel(f"amplitude [{unit}, 0-peak]")
+        amplitude.set_ylabel(f"amplitude [{of_amplitude(unit)}]")
         phase.set_ylabel("phase lag [deg]")
         left.set_ylabel(f"|measured - simulated| [{unit}]")
         left.set_xlabel("speed [rpm]")

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.style import BLUE, GREY, INK, RED, display, figure, legend_below, styled
 from rotorsim.report.text.table import counted, rpm
 from rotorsim.simulation.ensemble.result import Ensemble
@@ -24,7 +25,7 @@ WORDS = {
     "rms": "rms",
     "mean": "mean",
     "last": "value at the end",
-    "harmonics": "amplitude of 1X, 0-peak",
+    "harmonics": "amplitude of 1X",
 }
 LOOK_OF = {"unstable": ("x", RED), "diverged": ("+", RED), "stopped": (".", GREY)}
 MOST_SPECTRA = 60  # curves of a cascade; of more runs, as many that are evenly spaced
@@ -100,11 +101,13 @@ def _column(ensemble: Ensemble, of: str, signal: str) -> tuple[dict[str, np.ndar
         what = f"'{of}' of one number was not kept" if of else "nothing that is one number of an entry was kept"
         raise RotorsimError(Problem(what, "of", hint=hint))
     name, index = _entry(ensemble, of, signal)
-    array = np.abs(ensemble[of, name][..., 1]) if of == "harmonics" else ensemble[of, name]
+    harmonics = of == "harmonics"
+    array = from_peak(np.abs(ensemble[of, name][..., 1])) if harmonics else ensemble[of, name]
     array = _part(array, 1, index)
     values, unit = display(array, ensemble.units.get(name, ""))
     start = flat_name(name, index)
-    return {flat_name(start, place): _part(values, 1, place) for place in np.ndindex(values.shape[1:])}, unit, WORDS[of]
+    words = of_amplitude(WORDS[of]) if harmonics else WORDS[of]
+    return {flat_name(start, place): _part(values, 1, place) for place in np.ndindex(values.shape[1:])}, unit, words
 
 
 def _entry(ensemble: Ensemble, kind: str, signal: str) -> tuple[str, tuple[int, ...]]:
@@ -284,9 +287,15 @@ def cascade_figure(ensemble: Ensemble, signal: str = "", of: str = "", over: str
     limit = SHOWN_ORDERS * float(np.nanmax(turning)) if np.isfinite(turning).any() else float(spectra[0][0].max())
     for sign in (-1, 1) if np.isfinite(turning).any() else ():
         axes.plot(sign * turning, x[order], color=RED, lw=0.7, ls="--", label="1X" if sign > 0 else None, zorder=3)
-    value, unit = display(largest, ensemble.units.get(base, ""))
+    value, unit = display(from_peak(largest), ensemble.units.get(base, ""))
     height = f"{6 * gap:.4g} {label.rpartition('[')[2].rstrip(']')}" if "[" in label else f"{6 * gap:.4g}"
-    axes.plot([], [], color=BLUE, lw=0.7, label=f"amplitude, 0-peak: {float(value):.3g} {unit} are as high as {height}")
+    axes.plot(
+        [],
+        [],
+        color=BLUE,
+        lw=0.7,
+        label=f"{of_amplitude('amplitude')}: {float(value):.3g} {unit} are as high as {height}",
+    )
     axes.set(xlim=(-limit, limit), xlabel="frequency [Hz], backward < 0 < forward", ylabel=label)
     legend_below(made, axes)
     return made

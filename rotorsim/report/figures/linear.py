@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import Bbox
 
+from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.style import (
     BLUE,
     GREEN,
@@ -208,12 +209,12 @@ def periodic_figure(
         floor = ZERO_SHARE * np.nanmax(np.abs(curves), initial=0.0)
         for order, curve in zip(there, curves, strict=True):
             seen = np.where(np.abs(curve) > floor, curve, np.nan)
-            sizes, shown = display(np.abs(seen), unit)
+            sizes, shown = display(from_peak(np.abs(seen), order), unit)
             (line,) = left.plot(speed, sizes, mark, label=f"{order:+g}X")
             right.plot(*phase_line(speed, seen), mark, color=line.get_color())
             left.plot(speed[unstable], sizes[unstable], "x", ms=5, color=line.get_color())
         left.set_title(name, loc="left")
-        left.set(ylabel=f"amplitude [{shown}, 0-peak]", yscale="log" if floor > 0 else "linear", xmargin=0)
+        left.set(ylabel=f"amplitude [{of_amplitude(shown)}]", yscale="log" if floor > 0 else "linear", xmargin=0)
         right.set(ylabel="phase [deg]", ylim=(-190, 190), yticks=range(-180, 181, 90))
     panels[0, 0].plot([], [], "x", ms=5, color=GREY, label="unstable" if unstable.any() else None)
     for axes in panels[-1]:

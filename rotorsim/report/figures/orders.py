@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rotorsim.recordings.orders import OrderChannel, OrderRun
+from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, figure, legend_below, styled
 from rotorsim.report.text.orders import shown_unit
 from rotorsim.report.text.table import rpm
@@ -44,7 +45,7 @@ class Tracked:
 
 @styled()
 def bode_plot(tracked: Tracked, title: str) -> Figure:
-    """Return amplitude, 0-peak, and phase lag over the speed: measured, the fitted modes, their settled response.
+    """Return amplitude and phase lag over the speed: measured, the fitted modes, their settled response.
 
     Critical speeds are lines with their 90 % intervals; a diagram's run-up and the operating speeds stand beside.
     """
@@ -53,7 +54,7 @@ def bode_plot(tracked: Tracked, title: str) -> Figure:
     speed = rpm(tracked.run.speed[tracked.order])
     unit = ""
     for (name, channel), colour in zip(tracked.channels.items(), CHANNEL_COLOURS, strict=False):
-        unit, factor = shown_unit(channel)
+        unit, factor = _shown(channel)
         curves: list[tuple[np.ndarray | None, dict[str, Any], str]] = [
             (tracked.run.vectors[name], {"ls": "", "marker": ".", "ms": 3.0}, channel.name),
             (tracked.found.fitted.get(name), {"lw": 1.0}, ""),
@@ -74,10 +75,16 @@ def bode_plot(tracked: Tracked, title: str) -> Figure:
         amplitude.plot([], [], color=GREY, lw=1.0, ls=line, label=what)
     _mark(amplitude, tracked)
     _mark(phase, tracked)
-    amplitude.set(ylabel=f"amplitude of {tracked.found.order}X [{unit}, 0-peak]", ylim=(0, None))
+    amplitude.set(ylabel=f"amplitude of {tracked.found.order}X [{of_amplitude(unit)}]", ylim=(0, None))
     phase.set(ylabel="phase lag [deg]", xlabel="speed [rpm]", ylim=(0, 360), yticks=[0, 90, 180, 270, 360])
     legend_below(made, amplitude, 3)
     return made
+
+
+def _shown(channel: OrderChannel) -> tuple[str, float]:
+    """Return the unit in which amplitudes of a channel are shown, and the factor from SI, 0-peak."""
+    unit, factor = shown_unit(channel)
+    return unit, float(from_peak(factor))
 
 
 def _lag_line(speed: np.ndarray, vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -107,7 +114,7 @@ def polar_plot(tracked: Tracked, title: str) -> Figure:
     speed = rpm(tracked.run.speed[tracked.order])
     unit = ""
     for (name, channel), colour in zip(tracked.channels.items(), CHANNEL_COLOURS, strict=False):
-        unit, factor = shown_unit(channel)
+        unit, factor = _shown(channel)
         curves: list[tuple[np.ndarray | None, dict[str, Any], str]] = [
             (tracked.run.vectors[name], {"marker": ".", "ms": 3.0, "lw": 0.5}, channel.name),
             (tracked.simulated.get(name), {"lw": 1.2, "ls": "--"}, f"{channel.name}, {tracked.diagram}"),
@@ -127,7 +134,7 @@ def polar_plot(tracked: Tracked, title: str) -> Figure:
             if np.isfinite(own[k]):
                 place = (-np.angle(own[k]), np.abs(own[k]) * factor)
                 axes.annotate(f"{speed[k]:.0f}", place, fontsize=7, color=colour)
-    axes.set_xlabel(f"{tracked.found.order}X: phase lag, amplitude [{unit}, 0-peak], speeds [rpm]")
+    axes.set_xlabel(f"{tracked.found.order}X: phase lag, amplitude [{of_amplitude(unit)}], speeds [rpm]")
     legend_below(made, axes, 3)
     return made
 
@@ -162,7 +169,7 @@ def cascade_plot(
 ) -> Figure:
     """Return full spectra of z = x + i y (N,) [SI] of windows [s] along a run, one above the other over the speed.
 
-    speed (N,) [rad/s], NaN where it is not known. Hann windows, amplitudes 0-peak.
+    speed (N,) [rad/s], NaN where it is not known. Hann windows.
     """
     step = float(time[-1] - time[0]) / (len(time) - 1)
     n = max(int(window / step), 8)
@@ -190,7 +197,7 @@ def cascade_plot(
     for sign in (1, -1):
         axes.plot(sign * at / 60, at, color=RED, lw=0.7, ls="--", label="1X" if sign > 0 else None, zorder=3)
     limit = CASCADE_ORDERS * float(at.max()) / 60
-    label = f"amplitude, 0-peak: {largest * factor:.3g} {unit} are as high as {6 * gap:.4g} rpm"
+    label = f"{of_amplitude('amplitude')}: {from_peak(largest) * factor:.3g} {unit} are as high as {6 * gap:.4g} rpm"
     axes.plot([], [], color=BLUE, lw=0.7, label=label)
     axes.set(xlim=(-limit, limit), xlabel="frequency [Hz], backward < 0 < forward", ylabel="speed [rpm]")
     legend_below(made, axes)

@@ -1,7 +1,7 @@
 """Figures of a run: time histories, orbit, full spectrum, run-up, and one page with all of them.
 
 Every function returns a matplotlib figure; nothing is shown or kept in global state. Displacements are
-in um, speeds in rpm, amplitudes 0-peak.
+in um, speeds in rpm.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from matplotlib.text import Text
 
 from rotorsim.errors import Problem, RotorsimError, visible
 from rotorsim.files import atomic_target
+from rotorsim.report.amplitudes import from_peak, of_amplitude, shown_amplitudes
 from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, RED, ZERO_SHARE, display, figure, styled
 from rotorsim.report.text.run import two_axis_signals
 from rotorsim.report.text.table import rpm
@@ -133,7 +134,7 @@ def _draw_orbit(axes: Axes, result: Result, angle: str, signal: str, part: slice
 
 def _draw_spectrum(axes: Axes, spectrum: FullSpectrum, title: str) -> np.ndarray:
     """Draw the amplitudes of a spectrum; return where its lines are."""
-    amplitude, unit = display(spectrum.amplitude, spectrum.unit)
+    amplitude, unit = display(from_peak(spectrum.amplitude, spectrum.frequency), spectrum.unit)
     order, size = spectrum.frequency / (spectrum.running or 1.0), np.abs(amplitude)
     inside = np.abs(order) <= DRAWN_ORDERS + 0.5
     nearest = np.abs(order[:, None] - np.arange(-DRAWN_ORDERS, DRAWN_ORDERS + 1)).argmin(axis=0)
@@ -145,7 +146,9 @@ def _draw_spectrum(axes: Axes, spectrum: FullSpectrum, title: str) -> np.ndarray
     axes.set_title(title, loc="left")
     axes.set_xticks(range(-DRAWN_ORDERS, DRAWN_ORDERS + 1), minor=True)
     ends = (-DRAWN_ORDERS - 0.5, DRAWN_ORDERS + 0.5), (0, float(size[inside].max()) * 1.05 or 1.0)
-    axes.set(xticks=range(-DRAWN_ORDERS + 1, DRAWN_ORDERS, 2), xlim=ends[0], ylim=ends[1], ylabel=f"[{unit}, 0-peak]")
+    axes.set(
+        xticks=range(-DRAWN_ORDERS + 1, DRAWN_ORDERS, 2), xlim=ends[0], ylim=ends[1], ylabel=f"[{of_amplitude(unit)}]"
+    )
     _key(axes, 3)
     return np.asarray(peaks)
 
@@ -187,25 +190,27 @@ def spectrum_figure(result: Result, signal: str, *, window: tuple[float, float] 
 
 
 def _draw_run_up(axes: Axes, result: RunUp) -> None:
-    speeds, (peaks, unit) = rpm(result.speeds), display(result.peaks, result.unit)
+    speeds, (sizes, unit) = rpm(result.speeds), display(result.sizes(shown_amplitudes()), result.unit)
     samples, _ = display(result.samples, result.unit)
-    axes.plot(rpm(result.speed), samples, color=GREY, lw=0.3, alpha=0.25, rasterized=True)
-    axes.plot(speeds, peaks, color=INK, lw=0.9, label="peak of each turn")
+    beside = shown_amplitudes() == "0-peak"  # only these are on the scale of the samples
+    if beside:
+        axes.plot(rpm(result.speed), samples, color=GREY, lw=0.3, alpha=0.25, rasterized=True)
+    axes.plot(speeds, sizes, color=INK, lw=0.9, label=f"each turn, {shown_amplitudes()}")
     largest = max(float(np.nanmax(curve, initial=0.0)) for curve in result.orders.values())
     for (order, curve), colour in zip(result.orders.items(), (BLUE, ORANGE, GREEN), strict=False):
         if np.nanmax(curve, initial=0.0) > ZERO_SHARE * largest:
-            axes.plot(speeds, display(curve, result.unit)[0], color=colour, lw=1.0, label=f"{order}X")
-    marks = [(f"{one.order}X", one.speed, one.peak) for one in result.resonances()]
+            axes.plot(speeds, display(from_peak(curve), result.unit)[0], color=colour, lw=1.0, label=f"{order}X")
+    marks = [(f"{one.order}X", one.speed, float(from_peak(one.peak))) for one in result.resonances()]
     if result.rises:
-        marks.append(("still rising", result.resonance, result.peak))
+        marks.append(("still rising", result.resonance, float(result.sizes(shown_amplitudes())[result.largest])))
     for (name, speed, peak), mark in zip(marks, "ov^s", strict=False):
         height = float(display(peak, result.unit)[0])
-        label = f"{name} at {rpm(speed):.0f} rpm: {height:.4g} {unit}, 0-peak"
+        label = f"{name} at {rpm(speed):.0f} rpm: {height:.4g} {of_amplitude(unit)}"
         axes.plot(rpm(speed), height, mark, ms=6, mfc="white", mec=INK, ls="none", label=label, zorder=4)
-    top = 1.12 * float(peaks[len(peaks) // 50 :].max())
+    top = 1.12 * float(sizes[len(sizes) // 50 :].max())
     axes.set_title(f"run-up: {result.signal}, about its mean", loc="left")
-    axes.set(xlabel="speed [rpm]", ylabel=f"[{unit}, 0-peak]", ylim=(-top, top), xmargin=0)
-    axes.legend(loc="lower left", fontsize=7.5)
+    axes.set(xlabel="speed [rpm]", ylabel=f"[{of_amplitude(unit)}]", ylim=(-top if beside else 0.0, top), xmargin=0)
+    axes.legend(loc="lower left" if beside else "upper left", fontsize=7.5)
 
 
 @styled()

@@ -11,6 +11,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from rotorsim.criteria import Z90
+from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.comparison.harmonics import Comparison, Harmonics, Signal
 from rotorsim.report.style import INK, SHOWN_HARMONIC, Look, display, figure, legend_below, order_axis, styled
 from rotorsim.report.text.table import rpm
@@ -32,7 +33,7 @@ def spectra_figure(compared: Comparison, count: int = RUNS) -> Figure:
         for axes, r in zip(column, chosen, strict=True):
             _draw_spectrum(axes, compared, r, signal)
             axes.set_title(f"{signal.title}, {compared.runs.title(r)}", loc="left", fontsize=8.5)
-            axes.set_ylabel(f"[{display(1.0, signal.unit)[1]}, 0-peak]")
+            axes.set_ylabel(f"[{of_amplitude(display(1.0, signal.unit)[1])}]")
         _limit(column, compared, signal, chosen)
         column[-1].set_xlabel("order of running speed" + (" (negative: backward)" if signal.y else ""))
     legend_below(made, grid[0, 0])
@@ -41,12 +42,12 @@ def spectra_figure(compared: Comparison, count: int = RUNS) -> Figure:
 
 def _draw_spectrum(axes: Axes, compared: Comparison, r: int, signal: Signal) -> None:
     measured = compared.runs.measured(r, signal)
-    orders, noise = measured.orders, display(measured.noise, signal.unit)[0]
+    orders, noise = measured.orders, _shown(measured.noise, signal.unit, measured.orders)
     edges = np.append(orders - 0.5, orders[-1] + 0.5)
     axes.set_yscale("log")
     axes.stairs(noise, edges, baseline=1e-300, fill=True, color=NOISE_COLOUR, label="noise alone (95 %)", zorder=0)
     hidden = measured.size <= measured.noise
-    axes.plot(orders[hidden], display(measured.size, signal.unit)[0][hidden], ".", ms=4, color="#a0a0a0", zorder=2)
+    axes.plot(orders[hidden], _shown(measured.size, signal.unit, orders)[hidden], ".", ms=4, color="#a0a0a0", zorder=2)
     _draw_measured(axes, measured, signal.unit, Look("measured, 90 % interval", INK, "D", size=3.2))
     for look, runs in compared.diagrams:
         own = runs.measured(r, signal)  # readings, or what went into their converter
@@ -62,10 +63,8 @@ def _draw_spectrum(axes: Axes, compared: Comparison, r: int, signal: Signal) -> 
 def _draw_measured(axes: Axes, measured: Harmonics, unit: str, look: Look) -> None:
     """Draw amplitudes above the noise with their 90 % intervals."""
     clear = measured.size > measured.noise
-    at, (size, bar) = (
-        measured.orders[clear],
-        (display(part[clear], unit)[0] for part in (measured.size, Z90 * measured.amplitude_std)),
-    )
+    at = measured.orders[clear]
+    size, bar = (_shown(part[clear], unit, at) for part in (measured.size, Z90 * measured.amplitude_std))
     axes.vlines(at, 1e-300, size, color="#bdbdbd", lw=1.0, zorder=1)
     axes.errorbar(
         at,
@@ -97,9 +96,14 @@ def _draw_predicted(
         "mew": 1.3 * scale,
         "label": labels[0],
     }
-    axes.plot(at, display(value, unit)[0], look.marker, zorder=4, **form)
+    axes.plot(at, _shown(value, unit, at), look.marker, zorder=4, **form)
     form = {"ms": 4.5 * scale, "color": look.colour, "mew": 1.1 * scale, "label": labels[1]}
-    axes.plot(at, display(left, unit)[0], "x", zorder=3, **form)
+    axes.plot(at, _shown(left, unit, at), "x", zorder=3, **form)
+
+
+def _shown(values: Any, unit: str, orders: Any = 1) -> np.ndarray:
+    """Return amplitudes [SI, 0-peak] as they are shown; means, at order 0, are none."""
+    return display(from_peak(values, orders), unit)[0]
 
 
 def _limit(column: Sequence[Axes], compared: Comparison, signal: Signal, chosen: Sequence[int]) -> None:
@@ -118,8 +122,8 @@ def _limit(column: Sequence[Axes], compared: Comparison, signal: Signal, chosen:
     for axes in column:
         order_axis(axes, first if signal.y else 0, last)
     inside = (orders >= first) & (orders <= last)
-    low = display(0.15 * np.min([noise[inside] for noise in noises]), signal.unit)[0]
-    high = float(display(3.0 * np.max([np.max(top) for top in tops]), signal.unit)[0])
+    low = _shown(0.15 * np.min([noise[inside] for noise in noises]), signal.unit)
+    high = float(_shown(3.0 * np.max([np.max(top) for top in tops]), signal.unit))
     if high > 0:
         column[0].set_ylim(max(float(low), 1e-7 * high), high)
 

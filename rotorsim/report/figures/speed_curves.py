@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFormatter
 
 from rotorsim.criteria import Z90
+from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.comparison.harmonics import Comparison, PredictedRuns, Signal
 from rotorsim.report.comparison.speed_curves import speed_curve
 from rotorsim.report.style import (
@@ -103,7 +104,7 @@ def speed_curves_figure(
                 _draw_fitted(panels, item, fitted)
         for upper, lower in half.T:
             _plain_ticks(upper, lower)
-        half[0, 0].set_ylabel(f"{signal.title}\n[{display(1.0, signal.unit)[1]}, 0-peak]")
+        half[0, 0].set_ylabel(f"{signal.title}\n[{of_amplitude(display(1.0, signal.unit)[1])}]")
         half[1, 0].set_ylabel("phase [deg]")
     for axes in grid[-1]:
         axes.set_xlabel("speed [rpm]")
@@ -169,7 +170,7 @@ def _draw_curve(panels: _Panels, curve: Curve, form: dict[str, Any]) -> list[Cur
     branches, (speeds, values) = [], curve
     for (upper, lower), branch, own in zip(panels.grid.T, panels.branches, values.T, strict=True):
         angle = _continuous(own, float(np.nanmedian(branch[1])))
-        upper.plot(rpm(speeds), display(np.abs(own), panels.signal.unit)[0], **form)
+        upper.plot(rpm(speeds), display(from_peak(np.abs(own)), panels.signal.unit)[0], **form)
         lower.plot(rpm(speeds), angle, **form)
         branches.append((speeds, angle) if np.isfinite(angle).any() else branch)
     return branches
@@ -192,7 +193,9 @@ def _draw_points(panels: _Panels, runs: PredictedRuns, members: Sequence[int], l
     columns = np.searchsorted(runs.orders(panels.signal), panels.orders)
     for (upper, lower), (speeds, angle), column in zip(panels.grid.T, panels.branches, columns, strict=True):
         value, std, there = values[:, column], phase_stds[:, column], np.isfinite(angle)
-        size, bar = (display(part, panels.signal.unit)[0] for part in (np.abs(value), Z90 * size_stds[:, column]))
+        size, bar = (
+            display(from_peak(part), panels.signal.unit)[0] for part in (np.abs(value), Z90 * size_stds[:, column])
+        )
         upper.errorbar(rpm(at), size, [np.minimum(bar, size * (1 - 1e-6)), bar], **form)
         phase, near = np.degrees(np.angle(value)), np.interp(at, speeds[there], angle[there])
         phase += 360 * np.round((near - phase) / 360)

@@ -1,6 +1,6 @@
 """Figures of an identification: parameters, correlation, and the model beside what was measured.
 
-Measured and predicted side by side; displacements in um, speeds in rpm, amplitudes 0-peak, bars and intervals 90 %.
+Measured and predicted side by side; displacements in um, speeds in rpm, bars and intervals 90 %.
 """
 
 from __future__ import annotations

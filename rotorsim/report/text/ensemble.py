@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.text.table import counted, display_unit, rpm, table
 from rotorsim.simulation.ensemble.result import COLUMNS, Ensemble
 from rotorsim.simulation.result import flat_name
@@ -82,7 +83,7 @@ def ensemble_table(ensemble: Ensemble) -> str:
         rows: list[tuple[str, ...]] = []
         for name, array in ensemble.values[kind].items():
             unit, factor = display_unit(ensemble.units.get(name, ""))
-            values = np.abs(array[..., 1]) if kind == "harmonics" else array
+            values = from_peak(np.abs(array[..., 1])) if kind == "harmonics" else array
             for index in np.ndindex(values.shape[1:]):
                 column = np.where(ensemble.finished, values[:, *index], np.nan) * factor
                 if np.isfinite(column).any() and len(rows) < MOST_ENTRIES:
@@ -90,7 +91,7 @@ def ensemble_table(ensemble: Ensemble) -> str:
                     numbers = (np.nanmin(column), np.nanmedian(column), column[largest])
                     where = ", ".join(_at(ensemble, key, largest) for key in ensemble.parameters)
                     rows.append((flat_name(name, index), *(f"{v:.5g}" for v in numbers), unit, where))
-        title = "1X, 0-peak" if kind == "harmonics" else kind.replace("_", " ")
+        title = of_amplitude("1X") if kind == "harmonics" else kind.replace("_", " ")
         if rows:
             parts.append(table((title, "least", "median", "largest", "unit", "largest at"), rows))
     wide = [kind for kind in ensemble.values if kind not in COLUMNS]

@@ -9,6 +9,7 @@ import numpy as np
 
 from rotorsim.criteria import Z90
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
+from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.text.table import counted, display_unit, rpm, table
 from rotorsim.signals.orders.critical_speeds import CriticalSpeed, CriticalSpeeds
 from rotorsim.signals.orders.resonance import RESPONSIVE, Peak, peak_in
@@ -51,8 +52,8 @@ def peaks_text(run: OrderRun, channels: Mapping[str, OrderChannel]) -> str:
             f"{value:.{digits}g}" if np.isfinite(value) else "-"
             for value, digits in zip(numbers, (5, 5, 3), strict=True)
         ]
-        lines.append([channel.label, f"{factor * amplitude:.4g} {unit}", f"{rpm(peak.speed):.5g}", *sides])
-    return table(["as recorded", "largest, 0-peak", "at [rpm]", "N1", "N2", "AF"], lines)
+        lines.append([channel.label, f"{factor * from_peak(amplitude):.4g} {unit}", f"{rpm(peak.speed):.5g}", *sides])
+    return table(["as recorded", of_amplitude("largest"), "at [rpm]", "N1", "N2", "AF"], lines)
 
 
 def shown_unit(channel: OrderChannel) -> tuple[str, float]:
@@ -89,7 +90,7 @@ def critical_text(found: CriticalSpeeds, channels: Mapping[str, OrderChannel], o
         return head + f"no critical speed is told {between}: {what}"
     shown = [name for name in channels if name in found.found[0].vectors][:SHOWN_CHANNELS]
     operating = operating if found.order == 1 else None  # margins are of what unbalance drives
-    columns = [f"{channels[name].name}" for name in shown]
+    columns = [of_amplitude(channels[name].name) for name in shown]
     margins = [] if operating is None else ["SM", "required", ""]
     lines = []
     for one in found.found:
@@ -98,7 +99,7 @@ def critical_text(found: CriticalSpeeds, channels: Mapping[str, OrderChannel], o
         cells += [f"{rpm(one.peak.lower):.5g}", f"{rpm(one.peak.upper):.5g}", f"{one.damping:.3g}", whirl_text(one)]
         for name in shown:
             unit, factor = shown_unit(channels[name])
-            cells.append(f"{factor * abs(one.vectors[name]):.3g} {unit}")
+            cells.append(f"{factor * from_peak(abs(one.vectors[name])):.3g} {unit}")
         lines.append(cells + ([] if operating is None else margin_cells(one, operating)))
     header = [head + "N_c [rpm], 90 %", "AF, 90 %", "N1", "N2", "damping", "whirl", *columns, *margins]
     text = table(header, lines)

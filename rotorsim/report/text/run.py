@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rotorsim.errors import RotorsimError
+from rotorsim.report.amplitudes import from_peak, shown_amplitudes
 from rotorsim.report.text.table import counted, display_unit, rpm, table
 from rotorsim.simulation.result import Result, flat_name
 
@@ -184,8 +185,12 @@ def motion_line(motion: dict[str, Any]) -> str:
         return f"{text}; settled"
     change = motion["still_changes"]
     unit, scale = display_unit(change["unit"])
-    left = f"{change['left'] * scale:.2g} {unit} ({100 * change['share']:.2g} % of the largest)"
+    size = from_peak(change["left"], change["order"]) * scale
+    left = f"{size:.2g} {unit} ({100 * change['share']:.2g} % of the largest)"
     return f"{text}; not settled: order {change['order']:g} of {change['signal']} has about {left} still to go"
+
+
+TURN_SIZES = {"0-peak": "peak", "peak-peak": "peak_to_peak", "rms": "rms"}  # of the largest turn, in `run_ups`
 
 
 def run_ups(result: Result, angle: str, shown: Collection[str]) -> list[dict[str, Any]]:
@@ -208,6 +213,8 @@ def run_ups(result: Result, angle: str, shown: Collection[str]) -> list[dict[str
             "resonance": one.resonance,
             "resonance_rpm": rpm(one.resonance),
             "peak": one.peak,
+            "peak_to_peak": float(one.spans[one.largest]),
+            "rms": float(one.rms[one.largest]),
             "rises": one.rises,
             "orders": [
                 {"order": at.order, "speed": at.speed, "speed_rpm": rpm(at.speed), "peak": at.peak}
@@ -224,12 +231,20 @@ def run_up_table(rows: Sequence[dict[str, Any]]) -> str:
     for row in rows:
         unit, scale = display_unit(row["unit"])
         largest = "largest turn, still rising" if row["rises"] else "largest turn"
-        lines.append((row["signal"], largest, f"{row['resonance_rpm']:.1f}", f"{row['peak'] * scale:.6g}", unit))
+        lines.append(
+            (
+                row["signal"],
+                largest,
+                f"{row['resonance_rpm']:.1f}",
+                f"{row[TURN_SIZES[shown_amplitudes()]] * scale:.6g}",
+                unit,
+            )
+        )
         lines += [
-            ("", f"{one['order']}X", f"{one['speed_rpm']:.1f}", f"{one['peak'] * scale:.6g}", unit)
+            ("", f"{one['order']}X", f"{one['speed_rpm']:.1f}", f"{from_peak(one['peak']) * scale:.6g}", unit)
             for one in row["orders"]
         ]
-    header = ("run-up", "resonance of", "at [rpm]", "0-peak", "unit")
+    header = ("run-up", "resonance of", "at [rpm]", shown_amplitudes(), "unit")
     return table(header, lines) if lines else ""
 
 

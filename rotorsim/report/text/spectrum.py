@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.text.table import degrees, display_unit, percent, table
 
 if TYPE_CHECKING:
@@ -22,16 +23,17 @@ def spectrum_text(spectrum: FullSpectrum, running: float | None, threshold: floa
     padded = np.concatenate(([0.0], size, [0.0]))
     peaks = np.flatnonzero((size > padded[:-2]) & (size >= padded[2:]) & (size >= threshold * size.max()))
     unit, scale = display_unit(spectrum.unit)
+    shown = from_peak(size, spectrum.frequency)
     rows = [
         (
             f"{spectrum.frequency[k]:.4f}",
             f"{spectrum.frequency[k] / running:.4g}" if running else "-",
-            f"{size[k] * scale:.6g}",
+            f"{shown[k] * scale:.6g}",
             f"{degrees(spectrum.amplitude[k]):.2f}",
         )
         for k in peaks
     ]
-    header = ("frequency [Hz]", "order", f"amplitude [{unit}, 0-peak]", "phase [deg]")
+    header = ("frequency [Hz]", "order", f"amplitude [{of_amplitude(unit)}]", "phase [deg]")
     return f"{spectrum.signal}\n{table(header, rows)}"
 
 
@@ -57,8 +59,10 @@ def harmonics_text(fit: TwoAxis, threshold: float) -> str:
         shown &= fit.significant
     columns = {
         "order": [f"{order:g}" for order in item.orders],
-        f"amplitude [{unit}, 0-peak]": [f"{one * scale:.6g}" for one in size],
-        "+- 90 %": None if fit.amplitude90 is None else [f"{half * scale:.2g}" for half in fit.amplitude90],
+        f"amplitude [{of_amplitude(unit)}]": [f"{one * scale:.6g}" for one in from_peak(size, item.orders)],
+        "+- 90 %": None
+        if fit.amplitude90 is None
+        else [f"{half * scale:.2g}" for half in from_peak(fit.amplitude90, item.orders)],
         "phase [deg]": [f"{degrees(value):.2f}" for value in item.values],
         " +- 90 %": None if fit.phase90 is None else [f"{half:.2g}" for half in np.degrees(fit.phase90)],
     }
@@ -70,7 +74,8 @@ def harmonics_text(fit: TwoAxis, threshold: float) -> str:
         table([name.strip() for name in known], rows) if rows else "nothing but noise",
         *(
             f"asynchronous line: {line.frequency:.6g} Hz, order {line.order:.4f}, "
-            f"forward {line.forward * scale:.4g} {unit}, backward {line.backward * scale:.4g} {unit}"
+            f"forward {from_peak(line.forward) * scale:.4g} {unit}, "
+            f"backward {from_peak(line.backward) * scale:.4g} {unit}"
             for line in fit.lines
         ),
     ]
