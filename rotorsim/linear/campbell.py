@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.optimize import brentq, linear_sum_assignment
 from rotorsim._shown import Shown, xarray_module
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.linear.eigenmodes import RESONANT, Eigen, checked_speeds, eigen, require_speed, shape_signals, whirl
-from rotorsim.linear.linearisation import as_model, linearise
+from rotorsim.linear.linearisation import LinearSystem, as_model, linearise
 from rotorsim.linear.stability import growing
 from rotorsim.model.compiled import Model
 
@@ -96,11 +97,18 @@ class Campbell(Shown):
         ]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Point:
     eigen: Eigen
-    whirl: list[str]
-    stable: bool
+    system: LinearSystem
+
+    @cached_property
+    def whirl(self) -> list[str]:
+        return whirl(self.eigen, self.system)
+
+    @cached_property
+    def stable(self) -> bool:
+        return not growing(self.system.A)
 
 
 def campbell(
@@ -127,8 +135,7 @@ def campbell(
     def point(speed: float) -> _Point:
         given = {**(parameters or {}), "speed": speed}
         system = linearise(model, parameters=given, inputs=(), outputs=outputs)
-        found = eigen(system.A)
-        return _Point(found, whirl(found, system), not growing(system.A))
+        return _Point(eigen(system.A), system)
 
     points = [point(float(speed)) for speed in values]
     columns = _follow(points)

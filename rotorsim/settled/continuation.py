@@ -109,7 +109,7 @@ def _direct(setup: Setup, base: np.ndarray, p: np.ndarray, settings: Settings) -
     H = _needed_harmonics(X, settings.tolerance) if settings.harmonics is None else settings.harmonics
     count = X.shape[1]
     left_out = _size_beyond(X, min(H, count - 1 if series.ended else 7 * count // 8))
-    counters = {"samples": series.samples, "solves": X.shape[0] * count}
+    counters = {"samples": series.samples, "solves": X.shape[0] * int(np.any(series.F != 0, axis=(0, 2)).sum())}
     return Orbits(X[:, : H + 1], status, stable, seeds, drifting, "direct", left_out, counters)
 
 

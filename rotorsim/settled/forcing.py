@@ -21,6 +21,7 @@ from rotorsim.settled.equations import (
 )
 
 ZERO_COEFFICIENT = 1e-14  # coefficients below this part of the largest are rounding, not motion
+NOISE_MARGIN = 4.0  # times the coefficients where a series has ended: at lower orders, too, these are rounding
 LARGEST_HARMONIC = 255  # kept by default
 PROBE = 0.3819660112501051  # off-grid instant (part of a period) at which the series is checked
 CROSSING_INTERVALS = 720  # intervals per period in which a crossing is looked for
@@ -77,7 +78,8 @@ class Forcing:
             m *= 2
         if ended and harmonics is None:
             self._samples = m
-        F[np.abs(F) <= ZERO_COEFFICIENT * largest] = 0.0
+        rounding = NOISE_MARGIN * size[3 * m // 8 :].max(axis=0) if ended else 0.0
+        F[np.abs(F) <= np.maximum(ZERO_COEFFICIENT * largest, rounding)] = 0.0
         return Series(F if ended else F[:, : max(harmonics or 0, LARGEST_HARMONIC) + 1], m, ended)
 
     def _check_period(self, f: np.ndarray, base: np.ndarray) -> None:
