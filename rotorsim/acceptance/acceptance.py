@@ -11,7 +11,6 @@ from rotorsim.acceptance.criterion import MET, NOT_JUDGED, NOT_MET, UNSURE, Crit
 from rotorsim.acceptance.damping import damped_modes
 from rotorsim.acceptance.displacement import measured_displacement, modelled_displacement
 from rotorsim.acceptance.rotor import mode_shapes, support_map
-from rotorsim.acceptance.run_ups import measured_critical_speeds, run_ups_of
 from rotorsim.acceptance.stability_margins import measured_stability, modelled_margins
 from rotorsim.acceptance.unbalance import unbalance_cases
 from rotorsim.diagram.diagram import Diagram
@@ -141,6 +140,8 @@ def _modelled(model: Model, given: Conditions) -> Iterator[Part]:
 
 
 def _measured(recording: AnyRecording, given: Conditions) -> Iterator[Part]:
+    from rotorsim.acceptance.run_ups import measured_critical_speeds, run_ups_of  # loads half a second of statistics
+
     if isinstance(recording, InjectionRecording):
         yield measured_stability(recording, given)
     elif isinstance(recording, OrderRecording):

@@ -108,7 +108,8 @@ class _Point:
 
     @cached_property
     def stable(self) -> bool:
-        return not growing(self.system.A)
+        values = np.concatenate([self.eigen.values, self.eigen.real])
+        return bool((values.real <= 0).all()) or not growing(self.system.A)
 
 
 def campbell(
@@ -216,22 +217,23 @@ def _crossings(
         ends = [points[i].eigen.values[column[i]].imag - order * speeds[i] for i in (j, j + 1)]
         if ends[0] * ends[1] > 0 or (ends[1] == 0.0 < abs(ends[0]) and j + 2 < len(speeds)):
             continue  # no crossing, or one that the next interval reports
-        weights = {i: int(column[i]) for i in (j, j + 1)}
+        seen = {float(speeds[i]): (points[i], int(column[i])) for i in (j, j + 1)}
+        between = list(seen.values())
 
-        def nearest(speed: float, j: int = j, weights: dict[int, int] = weights) -> tuple[_Point, int]:
-            at = point(speed)
-            cost = sum(_cost(points[i].eigen, at.eigen)[number] for i, number in weights.items())
-            return at, int(np.argmin(cost))
+        def nearest(
+            speed: float, seen: dict[float, tuple[_Point, int]] = seen, ends: list[tuple[_Point, int]] = between
+        ) -> tuple[_Point, int]:
+            if speed not in seen:
+                at = point(speed)
+                cost = sum(_cost(end.eigen, at.eigen)[number] for end, number in ends)
+                seen[speed] = at, int(np.argmin(cost))
+            return seen[speed]
 
         def gap(speed: float) -> float:
             at, number = nearest(speed)
             return float(at.eigen.values[number].imag - order * speed)
 
-        try:
-            speed = float(brentq(gap, speeds[j], speeds[j + 1], xtol=1e-9, rtol=1e-12))
-        except ValueError:  # the sign differs at an end where a pair of modes is arbitrary: interpolate
-            share = ends[0] / (ends[0] - ends[1])
-            speed = float(speeds[j] + share * (speeds[j + 1] - speeds[j]))
+        speed = float(brentq(gap, speeds[j], speeds[j + 1], xtol=1e-9, rtol=1e-12))
         at, number = nearest(speed)
         value = at.eigen.values[number]
         found.append(

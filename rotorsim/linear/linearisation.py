@@ -41,16 +41,23 @@ class LinearSystem(StateSpace):
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
 
+_WITH_INPUTS: WeakKeyDictionary[Model, dict[tuple[tuple[str, ...], tuple[str, ...]], Model]] = WeakKeyDictionary()
+
+
 def as_model(diagram: Diagram | Model, inject: Sequence[str] = (), replace: Sequence[str] = ()) -> Model:
     """Return the model of a diagram with the external inputs that are asked for.
 
-    A model that already has these external inputs is taken as it is.
+    A model that already has these external inputs is taken as it is; one made for a model is kept as long as that.
     """
     if not isinstance(diagram, Model):
         return compile_diagram(diagram, inject=inject, replace=replace)
     if not diagram.hidden and set(diagram.trace.external) >= {*inject, *replace}:
         return diagram
-    return compile_diagram(diagram.diagram, inject=inject, replace=replace)
+    known = _WITH_INPUTS.setdefault(diagram, {})
+    asked = tuple(inject), tuple(replace)
+    if asked not in known:
+        known[asked] = compile_diagram(diagram.diagram, inject=inject, replace=replace)
+    return known[asked]
 
 
 def entry_names(name: str, shape: Shape) -> list[str]:
@@ -160,9 +167,10 @@ def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
     if n == 0:
         return [], []
     from scipy.linalg import matrix_balance  # as long to load as a short run takes
+    from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
-    count, group = connected_components(pattern, directed=True, connection="strong")
+    count, group = connected_components(csr_array(pattern), directed=True, connection="strong")
     seeds: list[int] = []
     for k in range(count):
         members = np.flatnonzero(group == k)
@@ -171,11 +179,26 @@ def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
             singular = not pattern[members[0], members[0]]
         else:
             balanced = matrix_balance(own, separate=False)[0]
-            values = np.linalg.svd(balanced / np.abs(balanced).max(axis=1, keepdims=True), compute_uv=False)
-            singular = bool(values[-1] <= SINGULAR_STATES * values[0])
+            singular = _is_singular(balanced / np.abs(balanced).max(axis=1, keepdims=True))
         if singular:
             seeds += members.tolist()
     return sorted(seeds), np.flatnonzero(reached(pattern, np.isin(np.arange(n), seeds))).tolist()
+
+
+def _is_singular(A: np.ndarray) -> bool:
+    """Return whether the reciprocal condition number of A (n, n) is below `SINGULAR_STATES`.
+
+    It is at least 1 / (|A|_F |A^-1|_F), which is a third of the work of singular values and decides but for matrices
+    whose inverse rounding spoils.
+    """
+    try:
+        bound = np.linalg.norm(A) * np.linalg.norm(np.linalg.inv(A))
+    except np.linalg.LinAlgError:
+        return True
+    if bound < 1e-3 / SINGULAR_STATES:
+        return False
+    values = np.linalg.svd(A, compute_uv=False)
+    return bool(values[-1] <= SINGULAR_STATES * values[0])
 
 
 def equilibrium(

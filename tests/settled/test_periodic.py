@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import rotorsim
 from rotorsim.errors import RotorsimError
 from rotorsim.settled.periodic import _change, periodic
 from tests.reference.handmade import handmade, jeffcott
@@ -322,3 +323,10 @@ def test_forcing_that_jumps_acts_on_a_nonlinear_bearing_as_its_exact_series():
     H = int(hard.orders[-1])
     got = hard.harmonics["rotor.displacement[1]"][0, H : H + 20]
     assert np.abs(got - expected[:20, 0]).max() < 1e-5 * np.abs(expected[:, 0]).max()
+
+
+def test_orders_that_are_rounding_are_not_solved_for() -> None:
+    """Unbalance drives 1X, gravity the mean: two systems of equations a speed, though 512 orders were sampled."""
+    found = periodic(rotorsim.load("drawn_rotor"), speeds=["6000 rpm", "7000 rpm", "8000 rpm"])
+    assert found.counters["solves"] == 6
+    assert found.counters["samples"] == 1024
