@@ -27,7 +27,7 @@ COUPLINGS = 40  # between 0.001 and 1000 times the anticipated one, at which sta
 LEAST_DECREMENT = 0.1  # of the first forward mode, API 617 level I
 LEAST_RATIO = 2.0  # of the cross coupling at the limit of stability to that which is anticipated, API 617 level I
 WEAKLY_DAMPED = 0.2  # damping ratio below which 2X may bring a mode to resonance: AF 2.5
-TWIN = 1.05  # of the first frequency, up to which modes of two planes are one: the less damped one counts
+FIRST_PAIR = 1.05  # of the first frequency, up to which modes of two planes are one: the less damped one counts
 MOST_COUPLING = 1e3  # times the anticipated one, up to which the limit of stability is looked for
 
 
@@ -65,7 +65,7 @@ def _damped(model: Model, given: Conditions) -> Part:
     made = [_stable(stable, at)]
     low = [mode for mode in found if mode.whirl in ("forward", "planar", "")]
     if low:
-        alike = [mode for mode in low if mode.frequency <= TWIN * low[0].frequency]
+        alike = [mode for mode in low if mode.frequency <= FIRST_PAIR * low[0].frequency]
         first = min(alike, key=lambda mode: mode.decrement)
         words = f"first {first.whirl or 'damped'} mode, {first.frequency:.4g} Hz{at}"
         made.append(Criterion(LEVEL_1, "log decrement", words, first.decrement, LEAST_DECREMENT, at_most=False))

@@ -29,13 +29,13 @@ from rotorsim.signals.orders.resonance import RESPONSIVE, Margin, Peak, peak_in,
 UNBALANCE_TITLE = "Response to unbalance"
 VIBRATION, SEPARATION, CLEARANCE = (f"{API_684}, SP6.8.2.{n}" for n in (8, 10, 12))
 LOWEST_SHARE = 0.02  # of the trip speed, from which on the response is computed
-SPEED_POINTS = 81  # speeds over all
+SPEED_POINTS = 81  # speeds over all, for the curves; peaks stand at poles, where `NEAR_A_POLE` puts more
 NEAR_A_POLE = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])  # half widths of a pole: speeds beside it
 NOT_LOOKED_FOR = "modes that no plane of unbalance excites are not looked for: a controller is sampled"
-TWINS = 1e-3  # relative distance of critical speeds of two planes
-SPEED_RESOLUTION = 2e-4  # of the largest speed, between speeds around a maximum
+BOTH_WHIRLS = 1e-3  # relative: nearer ones are both whirls of one mode, alike in x and y
+SPEED_RESOLUTION = 2e-4  # of the largest speed: a mode of AF 500 there is ten of these wide
 MOST_OPPOSED = 5  # planes, of which all combinations of signs are tried
-POLE_SPEEDS = 3  # at which the poles are looked at
+POLE_SPEEDS = 3  # at which the poles are looked at: in between these move little, and `_near_maxima` follows
 LARGEST_SCALE = 6.0  # S_cc at most
 CLEARANCE_SHARE = 0.75  # of the diametral clearance, that the scaled response may use
 
@@ -280,12 +280,12 @@ def _not_excited(model: Model, found: UnbalanceCases, given: Conditions) -> Iter
     crossings = [one for one in campbell_of(model, given).crossings if one.order == 1]
     told = [(other.peak.lower, other.peak.upper) for other in found.critical]
     for one in crossings:
-        near = [other for other in crossings if abs(other.speed - one.speed) <= TWINS * one.speed]
+        near = [other for other in crossings if abs(other.speed - one.speed) <= BOTH_WHIRLS * one.speed]
         turns_back = one.whirl == "backward" and len(near) == 1  # of two at one speed the whirl is arbitrary
         seen = any(low <= one.speed <= high for low, high in told)
         if turns_back or seen or not 0 < one.damping_ratio < 1 / (2 * RESPONSIVE):
             continue
-        told.append((one.speed * (1 - TWINS), one.speed * (1 + TWINS)))
+        told.append((one.speed * (1 - BOTH_WHIRLS), one.speed * (1 + BOTH_WHIRLS)))
         af = 1 / (2 * one.damping_ratio)
         words = f"mode of {one.frequency_hz:.4g} Hz, by its damping ratio: no plane excites it"
         yield _separation(one.speed, af, separation_margin(one.speed, af, given.lowest, given.highest), words)

@@ -184,6 +184,15 @@ class Diagram:
                 return str(Endpoint(meant.block, meant.port, (*meant.index, *index[len(said.index) :])))
         return name
 
+    def unit_of_parameter(self, name: str) -> str | None:
+        """Return the unit of a parameter of the diagram or of a block (``amb.k_i``); None without one, or unknown."""
+        if name in self.parameters:
+            return self.parameter_units.get(name)
+        block, _, key = name.rpartition(".")
+        node = self.nodes.get(block)
+        declared = node.block.parameters.get(key) if node else None
+        return declared.unit if declared else None
+
     @property
     def turns(self) -> bool:
         """Whether a shaft turns in it: a wire begins at a clock."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -227,7 +227,7 @@ def check_against(diagram: Diagram, recording: Recording) -> list[Problem]:
         for name, value in run.settings.items():
             subject = f"run {run.id}: set {name}"
             try:
-                model.parameter_vector({name: numeric(value, _unit(diagram, name))})
+                model.parameter_vector({name: numeric(value, diagram.unit_of_parameter(name))})
             except ValueProblem as problem:
                 problems.append(Problem(problem.what, subject, run.place, problem.hint))
             except RotorsimError as error:
@@ -299,7 +299,7 @@ def _parameters(model: Model, diagram: Diagram, runs: Sequence[RunHarmonics], fr
                 problems.append(Problem(what, f"run {item.run.id}", item.run.place, hint))
                 continue
             try:
-                overrides[name] = numeric(value, _unit(diagram, name))
+                overrides[name] = numeric(value, diagram.unit_of_parameter(name))
             except ValueProblem as problem:
                 problems.append(Problem(problem.what, f"run {item.run.id}: set {name}", item.run.place, problem.hint))
         stated = overrides.pop("speed", None)
@@ -317,15 +317,6 @@ def _parameters(model: Model, diagram: Diagram, runs: Sequence[RunHarmonics], fr
     if problems:
         raise RotorsimError(*problems)
     return np.array(rows)
-
-
-def _unit(diagram: Diagram, name: str) -> str | None:
-    if name in diagram.parameters:
-        return diagram.parameter_units.get(name)
-    block, _, key = name.rpartition(".")
-    node = diagram.nodes.get(block)
-    declared: Mapping[str, Any] = node.block.parameters if node is not None else {}
-    return declared[key].unit if key in declared else None
 
 
 def _is_aperiodic(model: Model, p: np.ndarray, speeds: np.ndarray) -> str | None:

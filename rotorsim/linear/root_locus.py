@@ -110,7 +110,7 @@ def root_locus(
         limits.append(StabilityLimit(float((low + high) / 2), float(abs(grown[0].imag) / (2 * np.pi))))
     return RootLocus(
         parameter=parameter,
-        unit=unit_of(model.diagram, parameter),
+        unit=model.diagram.unit_of_parameter(parameter) or "1",
         values=grid,
         poles=table,
         stable=stable,
@@ -118,13 +118,3 @@ def root_locus(
         notes=tuple(dict.fromkeys(note for *_, notes in found for note in notes)),
         provenance=provenance(model, parameters, "root_locus"),
     )
-
-
-def unit_of(diagram: Diagram, name: str) -> str:
-    """Return the unit of a parameter of a diagram or of a block, "1" where it has none."""
-    if name in diagram.parameters:
-        return diagram.parameter_units.get(name) or "1"
-    block, _, key = name.rpartition(".")
-    node = diagram.nodes.get(block)
-    declared = node.block.parameters.get(key) if node else None
-    return (declared.unit if declared else None) or "1"

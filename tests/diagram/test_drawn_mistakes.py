@@ -169,3 +169,14 @@ def test_a_mesh_of_very_many_beams_is_refused() -> None:
     assert written(drawn(longest_element="0.1 mm")) == [
         "rotor.longest_element: makes more than 500 beams of 400 mm | a twelfth of the shaft is the default"
     ]
+
+
+def test_a_parameter_that_an_option_follows_cannot_be_free() -> None:
+    document = drawn(longest_element="$longest")
+    document |= {"parameters": {"longest": "25 mm"}, "identify": {"longest": {}}}
+    with pytest.raises(RotorsimError) as caught:
+        load(document)
+    assert str(caught.value) == (
+        "error: identify.longest: is followed by the option rotor.longest_element\n\n"
+        "hint: free a parameter of the block: options stay as they are"
+    )

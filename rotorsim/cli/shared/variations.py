@@ -69,7 +69,7 @@ def variations(texts: Sequence[str], diagram: Diagram, draws: int | None, seed: 
             problems.append(structural)
             continue
         try:
-            found.append(_variation(name, values, text, _unit_of(diagram, name), count, generator))
+            found.append(_variation(name, values, text, diagram.unit_of_parameter(name), count, generator))
         except RotorsimError as error:
             problems += error.problems
     refuse_all(problems)
@@ -86,16 +86,6 @@ def variations(texts: Sequence[str], diagram: Diagram, draws: int | None, seed: 
         tuple(one.name for one in found if not one.drawn and len(one.values) > 1),
         tuple(one.name for one in found if one.drawn),
     )
-
-
-def _unit_of(diagram: Diagram, name: str) -> str | None:
-    """Return the unit in which a parameter is declared; None where the name is unknown, which the run says."""
-    if name in diagram.parameters:
-        return diagram.parameter_units.get(name)
-    block, _, key = name.rpartition(".")
-    node = diagram.nodes.get(block)
-    declared = node.block.parameters.get(key) if node else None
-    return declared.unit if declared else None
 
 
 def _variation(

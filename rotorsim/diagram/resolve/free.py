@@ -36,9 +36,15 @@ class _Quantity:
 
 class _Reader:
     def __init__(
-        self, source: Source, parameters: Mapping[str, np.ndarray], units: Mapping[str, str], nodes: Mapping[str, Node]
+        self,
+        source: Source,
+        parameters: Mapping[str, np.ndarray],
+        units: Mapping[str, str],
+        nodes: Mapping[str, Node],
+        structural: Mapping[str, str],
     ) -> None:
         self.source, self.parameters, self.units, self.nodes = source, parameters, units, nodes
+        self.structural = structural
         self.problems = Problems()
 
     def error(self, what: str, path: JsonPath, hint: str = "", *, key: bool = False) -> None:
@@ -82,6 +88,10 @@ class _Reader:
             return []
         if self.is_speed(base):
             self.error("is measured, so that it cannot be free", path, key=True)
+            return []
+        if base in self.structural:
+            hint = "free a parameter of the block: options stay as they are"
+            self.error(f"is followed by the option {self.structural[base]}", path, hint, key=True)
             return []
         if not isinstance(given, Mapping):
             self.error("must be an object", path, '{} leaves it free; {"low": 0, "prior": {"std": "5 %"}} says more')
@@ -218,14 +228,15 @@ def free_parameters(
     units: Mapping[str, str],
     nodes: Mapping[str, Node],
     removed: Collection[str] = (),
+    structural: Mapping[str, str] | None = None,
 ) -> tuple[tuple[Free, ...], list[Problem]]:
     """Return the free parameters that ``identify`` of a document names, and what is wrong with them.
 
     A name is a diagram parameter, ``block.parameter``, or an entry of one (``support.stiffness[2]``); a name
     without an index stands for all entries. Bounds are those that the block declares unless they are narrowed.
-    Parameters of blocks that were removed are passed over.
+    Parameters of blocks that were removed are passed over. structural: diagram parameter -> an option that follows it.
     """
-    reader = _Reader(source, parameters, units, nodes)
+    reader = _Reader(source, parameters, units, nodes, structural or {})
     free: dict[str, Free] = {}
     for name, value in given.items():
         followed = any(name in node.references.values() for node in nodes.values())

@@ -108,7 +108,7 @@ def resolve(
     raise_errors(problems)
 
     nodes, units = fitting.nodes(), drafter.parameters.units
-    free, mistakes = free_parameters(document, identify, values, units, nodes, removed)
+    free, mistakes = free_parameters(document, identify, values, units, nodes, removed, drafter.structural)
     problems += mistakes
     problems += wiring.gaps(nodes)
     measured = measured_signals(flat, fitting, nodes, removed)

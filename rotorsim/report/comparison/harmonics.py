@@ -198,10 +198,9 @@ class PredictedRuns:
             parts = model.references.get(name) if name in model.diagram.parameters else [model.parameters[name]]
             if not parts or (p[:, parts[0]] == p[0, parts[0]]).all():
                 continue
-            block, _, key = name.rpartition(".")
-            declared = model.diagram.nodes[block].block.parameters[key].unit if block else None
+            key = name.rpartition(".")[2]
             values = p[r, parts[0]]
-            unit = declared if block else model.diagram.parameter_units[name]
+            unit = model.diagram.unit_of_parameter(name)
             texts[name] = key, _quantity(float(values[0]), unit) if len(values) == 1 else str(values.tolist())
         keys = [key for key, _ in texts.values()]
         return ", ".join(f"{key if keys.count(key) == 1 else name} = {v}" for name, (key, v) in texts.items())

@@ -98,7 +98,7 @@ def varied_values(model: Model, parameters: Mapping[str, Any], initial: np.ndarr
         array = np.array([vector[part] for vector in vectors])
         array = array[:, 0] if array.shape[1:] == (1,) else array
         found[name] = np.broadcast_to(array, (n, *array.shape[1:])) if len(array) == 1 else array
-        units[name] = _unit_of(model, name)
+        units[name] = model.diagram.unit_of_parameter(name) or ""
     if problems:
         raise RotorsimError(*problems)
     lists = {name: values * n if len(values) == 1 else values for name, values in lists.items()}
@@ -111,13 +111,6 @@ def _each(values: Any) -> list[Any]:
     if isinstance(values, str) or np.ndim(values) == 0:
         return [values.item() if isinstance(values, np.generic) else values]
     return values.tolist() if isinstance(values, np.ndarray) else list(values)
-
-
-def _unit_of(model: Model, name: str) -> str:
-    if name in model.diagram.parameters:
-        return model.diagram.parameter_units.get(name, "") or ""
-    block, _, key = name.rpartition(".")
-    return model.diagram.nodes[block].block.parameters[key].unit or ""
 
 
 def changes_structure(diagram: Diagram, name: str) -> Problem | None:
