@@ -50,6 +50,7 @@ VERBS = {
     "fmu": "Export diagrams as FMUs for other tools; look into FMUs.",
     "ssp": "Export diagrams as systems of FMUs (SSP); import such systems as diagrams.",
     "import": "Write a model of another program as a diagram: rotors of ROSS.",
+    "serve": "Open a page on which a diagram is looked at, edited and run.",
     "cosim": "Co-simulate a diagram with FMUs, or parts of it; say what the coupling costs.",
     "docs": "List the pages that come with rotorsim, or show one.",
     "cache": "Show or clear the cache of compiled models.",

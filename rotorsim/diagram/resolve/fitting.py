@@ -11,8 +11,8 @@ from rotorsim.diagram.resolve.drafts import report_value
 from rotorsim.diagram.resolve.shapes import ShapeTerm, Unifier, text_of
 from rotorsim.diagram.resolve.template import filled
 from rotorsim.diagram.resolve.values import ValueProblem
-from rotorsim.diagram.resolve.wiring import Wiring
-from rotorsim.errors import Place
+from rotorsim.diagram.resolve.wiring import UNFINISHED, Wiring
+from rotorsim.errors import Place, Problem
 from rotorsim.units import UnitError, compatible
 
 
@@ -96,11 +96,14 @@ class Fitting:
                 if valued:  # else a parameter that is missing or wrong would tell the size
                     shapes = {**template.input_shapes, **template.output_shapes, **template.parameter_shapes}
                     of = [n for n, s in shapes.items() if isinstance(s, tuple) and key[1:] in s]
-                    self.problems.error(
-                        f"size '{key[1:]}' of {', '.join(of)} is not known",
-                        draft.raw.name,
-                        draft.raw.place(key=True),
-                        "wire it, or give a parameter that has this size",
+                    self.problems.append(
+                        Problem(
+                            f"size '{key[1:]}' of {', '.join(of)} is not known",
+                            draft.raw.name,
+                            draft.raw.place(key=True),
+                            "wire it, or give a parameter that has this size",
+                            code=UNFINISHED,
+                        )
                     )
 
     # --- shapes and units along wires ---------------------------------------------------------------

@@ -23,7 +23,7 @@ from rotorsim.diagram.resolve.measured import measured_signals
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.diagram.resolve.template import Templates
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
-from rotorsim.diagram.resolve.wiring import Wiring
+from rotorsim.diagram.resolve.wiring import UNFINISHED, Wiring
 from rotorsim.diagram.solver import SOLVER_METHODS, Solver
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
@@ -74,9 +74,11 @@ def resolve(
     without: Iterable[str] = (),
     trust_blocks: bool = False,
     folder: str | Path | None = None,
+    unfinished: list[Problem] | None = None,
 ) -> Diagram:
     """Return the diagram of a document as data; arguments as of `rotorsim.model.load.load`.
 
+    unfinished: takes what is only missing yet (wires, sizes), which is an error without it; these inputs read zero.
     Raises RotorsimError with every mistake found; warnings are in ``diagram.warnings``.
     """
     document, root, said = _source(source, folder)
@@ -105,7 +107,7 @@ def resolve(
     if any(problem.severity == "error" for problem in problems):
         declared = {name: draft.cls.parameters.keys() for name, draft in drafts.items()}
         problems += unknown_names(document, identify, flat.parameters.keys(), declared)
-    raise_errors(problems)
+    raise_errors(_apart(problems, unfinished))
 
     nodes, units = fitting.nodes(), drafter.parameters.units
     free, mistakes = free_parameters(document, identify, values, units, nodes, removed, drafter.structural)
@@ -115,7 +117,7 @@ def resolve(
     for name, node in nodes.items():
         if name not in fitting.misfits:
             problems += _contradictions(node)
-    raise_errors(problems)
+    raise_errors(_apart(problems, unfinished))
     return Diagram(
         name=flat.name,
         parameters=values,
@@ -147,6 +149,14 @@ def raise_errors(problems: Iterable[Problem]) -> None:
             more = f"and {len(unique) - MAX_PROBLEMS} more problems"
             unique[MAX_PROBLEMS:] = [Problem(more, place=unique[MAX_PROBLEMS].place, hint="correct these first")]
         raise RotorsimError(*[p if p.hint or p.severity == "warning" else replace(p, hint=_HINT) for p in unique])
+
+
+def _apart(problems: list[Problem], unfinished: list[Problem] | None) -> list[Problem]:
+    """Move what is only missing yet to where it is asked for; return the problems that are left."""
+    if unfinished is not None:
+        unfinished += [problem for problem in problems if problem.code == UNFINISHED]
+        problems[:] = [problem for problem in problems if problem.code != UNFINISHED]
+    return problems
 
 
 _HINT = "docs/diagrams.md describes the format; `rotorsim blocks TYPE` lists ports and parameters"

@@ -15,6 +15,7 @@ from rotorsim.diagram.resolve.template import Templates
 from rotorsim.errors import Place, Problem, near_miss
 
 MAX_WIRE_HINTS = 50
+UNFINISHED = "unfinished"  # code of what is only missing yet: the rest of the diagram can be drawn
 
 
 @dataclass
@@ -77,7 +78,13 @@ class Wiring:
                 missing = ", ".join(f"{port}[{k}]" for k in rows)
                 hint = f'add a wire to each, as ["block.output", "{block}.{port}[{rows[0]}]"]'
                 found.append(
-                    Problem(f"input is wired by parts, but not {missing}", f"{block}.{port}", wires[0].place, hint)
+                    Problem(
+                        f"input is wired by parts, but not {missing}",
+                        f"{block}.{port}",
+                        wires[0].place,
+                        hint,
+                        code=UNFINISHED,
+                    )
                 )
         return found
 
@@ -182,7 +189,8 @@ class Wiring:
                 hint = f'add the wire ["{candidate or "block.output"}", "{name}.{port}"]'
                 if not candidate and declared.unit not in (None, "1"):
                     hint += f" from an output in {declared.unit}"
-                self.flat.problems.error("input is not wired", f"{name}.{port}", draft.raw.place(key=True), hint)
+                place = draft.raw.place(key=True)
+                self.flat.problems.append(Problem("input is not wired", f"{name}.{port}", place, hint, code=UNFINISHED))
 
     def _candidate(self, block: str, port: str, unit: str | None) -> str:
         """Return an output that would suit an input: one of the same unit, best of the same name; or none."""

@@ -1,0 +1,1 @@
+"""The page on which a diagram is looked at, edited and run; the file on disk is its only store."""

@@ -1,0 +1,270 @@
+"""What a page does to a diagram document: wire, set, add, ...; each a function from a document to a new one."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rotorsim.diagram import edit
+from rotorsim.diagram.parse.document import NAME_PATTERN, endpoint
+from rotorsim.diagram.resolve.registry import Registry
+from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.serve.changes import changes_of, with_changes
+
+Document = dict[str, Any]
+Operation = Mapping[str, Any]
+_NUMBER = re.compile(r"\d+$")
+
+
+@dataclass(frozen=True)
+class Editing:
+    """What operations need to know. cells: block -> [column, row] of those that the picture places by itself.
+
+    mine: patches write over what was changed meanwhile.
+    """
+
+    registry: Registry
+    cells: Mapping[str, Sequence[float]]
+    mine: bool = False
+
+
+def applied(document: Document, operations: Iterable[Operation], editing: Editing) -> Document:
+    """Return a document after operations, one after the other; the one given stays as it is.
+
+    Raises RotorsimError for operations that are malformed or cannot be done.
+    """
+    new = copy.deepcopy(document)
+    for operation in operations:
+        if not isinstance(operation, Mapping) or operation.get("op") not in _KNOWN:
+            name = operation.get("op") if isinstance(operation, Mapping) else operation
+            raise RotorsimError(Problem(f"unknown operation '{name}'", "edit", hint=near_miss(str(name), _KNOWN)))
+        needed = _NEEDED[operation["op"]]
+        for key, kind in needed.items():
+            if not isinstance(operation.get(key), kind):
+                raise RotorsimError(Problem(f"operation '{operation['op']}' needs '{key}'", "edit"))
+        new = _KNOWN[operation["op"]](new, operation, editing)
+    return new
+
+
+def _block(document: Document, name: str) -> Document:
+    """Return the entry of a block. Raises RotorsimError for one that is not in this file."""
+    found = document.get("blocks", {}).get(name)
+    if isinstance(found, dict):
+        return found
+    if "/" in name:
+        part = name.partition("/")[0]
+        raise RotorsimError(Problem(f"it is a part of the sub-diagram '{part}'", name, hint="edit the file of that"))
+    raise RotorsimError(Problem(f"no block '{name}'", name, hint=near_miss(name, document.get("blocks", {}))))
+
+
+def _move(document: Document, operation: Operation, editing: Editing) -> Document:
+    name = operation["block"]
+    _block(document, name)
+    to = operation["to"]
+    if len(to) != 2 or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e9 for x in to):
+        raise RotorsimError(Problem("a block moves to two numbers, [column, row]", name))
+    layout = _whole_layout(document, editing)
+    layout[name] = [_plain(x) for x in to]
+    return document
+
+
+def _whole_layout(document: Document, editing: Editing) -> Document:
+    """Return the layout, with all blocks in it: without one of them the picture would place all by itself."""
+    layout: Document = document.setdefault("layout", {})
+    for name in document.get("blocks", {}):
+        if name not in layout and name in editing.cells:
+            layout[name] = [_plain(x) for x in editing.cells[name]]
+    return layout
+
+
+def _plain(x: float) -> float:
+    """Return a coordinate as short as it can be written."""
+    value = round(float(x), 6)
+    return int(value) if value == int(value) else value
+
+
+def _wire(document: Document, operation: Operation, editing: Editing) -> Document:
+    source, target = operation["source"], operation["target"]
+    for end in (source, target):
+        if endpoint(end) is None:
+            raise RotorsimError(Problem("is no end of a wire", end, hint='write "block.port"'))
+    wires = document.setdefault("wires", [])
+    if [source, target] in wires:
+        raise RotorsimError(Problem("is wired already", f"{source} -> {target}"))
+    wires.append([source, target])
+    return document
+
+
+def _cut(document: Document, operation: Operation, editing: Editing) -> Document:
+    source, target = operation["source"], operation["target"]
+    wires = document.get("wires", [])
+    if [source, target] not in wires:
+        inside = "/" in source.partition(".")[0] and "/" in target.partition(".")[0]
+        hint = "it is inside a sub-diagram: edit the file of that" if inside else ""
+        raise RotorsimError(Problem("there is no such wire in this file", f"{source} -> {target}", hint=hint))
+    wires.remove([source, target])
+    return document
+
+
+def _set(document: Document, operation: Operation, editing: Editing) -> Document:
+    name = operation["name"]
+    if "value" not in operation:
+        raise RotorsimError(Problem("operation 'set' needs 'value'", "edit"))
+    value = operation["value"]
+    block, dot, key = name.rpartition(".")
+    if not dot:
+        parameters = document.get("parameters", {})
+        if key not in parameters:
+            raise RotorsimError(Problem(f"no diagram parameter '{key}'", key, hint=near_miss(key, parameters)))
+        if value is None:
+            raise RotorsimError(Problem("a parameter of the diagram has no default", key, hint="give it a value"))
+        parameters[key] = value
+        return document
+    if block == "solver":
+        settings = document.setdefault("solver", {})
+        settings.pop(key, None) if value is None else settings.update({key: value})
+        return document
+    entry = _block(document, block)
+    parameters = entry.setdefault("parameters", {})
+    if value is None:
+        parameters.pop(key, None)
+    else:
+        parameters[key] = value
+    if not parameters:
+        del entry["parameters"]
+    return document
+
+
+def _swap(document: Document, operation: Operation, editing: Editing) -> Document:
+    _block(document, operation["block"])
+    return edit.swap(document, operation["block"], operation["type"], None, editing.registry)
+
+
+def _add(document: Document, operation: Operation, editing: Editing) -> Document:
+    type_name, given = operation["type"], operation.get("parameters") or {}
+    kind = editing.registry.find(type_name)
+    if kind is None:
+        what = f"unknown block type '{type_name}'"
+        raise RotorsimError(Problem(what, type_name, hint=editing.registry.hint(type_name)))
+    blocks = document.setdefault("blocks", {})
+    name = operation.get("name") or free_name(type_name, blocks)
+    if name in blocks or not NAME_PATTERN.fullmatch(str(name)):
+        raise RotorsimError(_bad_name(str(name), blocks))
+    layout = _whole_layout(document, editing)
+    needed = {key: one.unit for key, one in kind.parameters.items() if one.default is None}
+    values = {key: f"1 {unit}" if unit not in (None, "1") else 1 for key, unit in needed.items()} | dict(given)
+    blocks[name] = {"type": type_name, **({"parameters": values} if values else {})}
+    layout[name] = [_plain(x) for x in operation["at"]]
+    return document
+
+
+def free_name(wanted: str, taken: Iterable[str]) -> str:
+    """Return a name that is not taken: the one wanted, else it with the next number behind it."""
+    names, stem = set(taken), _NUMBER.sub("", wanted)
+    return next(name for name in (wanted, *(f"{stem}{k}" for k in range(2, len(names) + 3))) if name not in names)
+
+
+def _bad_name(name: str, blocks: Mapping[str, Any]) -> Problem:
+    if name in blocks:
+        return Problem("there is a block of this name", name, hint="choose another name")
+    return Problem(f"'{name}' is not a name", "edit", hint="letters, digits and _, not a digit first")
+
+
+def _remove(document: Document, operation: Operation, editing: Editing) -> Document:
+    name = operation["block"]
+    _block(document, name)
+    del document["blocks"][name]
+    document["wires"] = [wire for wire in document.get("wires", []) if not any(_is_of(end, name) for end in wire)]
+    for key in ("layout", "identify", "measured"):
+        held = document.get(key, {})
+        for gone in [one for one in held if one == name or _is_of(one, name) or _is_of(held[one], name)]:
+            del held[gone]
+    if "record" in document:
+        document["record"] = [signal for signal in document["record"] if not _is_of(signal, name)]
+    for ends in document.get("ports", {}).values():
+        for port in [port for port, end in ends.items() if _is_of(end, name)]:
+            del ends[port]
+    return _trimmed(document)
+
+
+def _trimmed(document: Document) -> Document:
+    """Return a document without keys that hold nothing any more."""
+    for key in ("layout", "identify", "measured", "ports"):
+        if key in document and not document[key]:
+            del document[key]
+    return document
+
+
+def _is_of(text: Any, block: str) -> bool:
+    """Return whether a wire end, a signal or the name of a parameter is of a block."""
+    return isinstance(text, str) and text.partition(".")[0].strip() == block and "." in text
+
+
+def _rename(document: Document, operation: Operation, editing: Editing) -> Document:
+    old, new = operation["block"], operation["to"]
+    _block(document, old)
+    if new == old:
+        return document
+    if new in document["blocks"] or not NAME_PATTERN.fullmatch(new):
+        raise RotorsimError(_bad_name(new, document["blocks"]))
+
+    def named(text: Any) -> Any:
+        return new + text[len(old) :] if _is_of(text, old) and text.startswith(old) else text
+
+    document["blocks"] = {new if name == old else name: entry for name, entry in document["blocks"].items()}
+    document["wires"] = [[named(end) for end in wire] for wire in document.get("wires", [])]
+    if "layout" in document:
+        document["layout"] = {new if name == old else name: at for name, at in document["layout"].items()}
+    for key in ("identify", "measured"):
+        if key in document:
+            document[key] = {named(name): named(value) for name, value in document[key].items()}
+    if "record" in document:
+        document["record"] = [named(signal) for signal in document["record"]]
+    if "ports" in document:
+        document["ports"] = {
+            side: {port: named(end) for port, end in ends.items()} for side, ends in document["ports"].items()
+        }
+    return document
+
+
+def _record(document: Document, operation: Operation, editing: Editing) -> Document:
+    signal, record = operation["signal"], document.setdefault("record", [])
+    if operation["on"] and signal not in record:
+        record.append(signal)
+    elif not operation["on"] and signal in record:
+        record.remove(signal)
+    return document
+
+
+def _patch(document: Document, operation: Operation, editing: Editing) -> Document:
+    """Return a document with changes made or undone that an earlier version was told of; none where one conflicts."""
+    return with_changes(document, changes_of(operation["changes"]), mine=editing.mine)
+
+
+_KNOWN: dict[str, Callable[[Document, Operation, Editing], Document]] = {
+    "move": _move,
+    "wire": _wire,
+    "cut": _cut,
+    "set": _set,
+    "swap": _swap,
+    "add": _add,
+    "remove": _remove,
+    "rename": _rename,
+    "record": _record,
+    "patch": _patch,
+}
+_NEEDED: dict[str, dict[str, type]] = {
+    "move": {"block": str, "to": list},
+    "wire": {"source": str, "target": str},
+    "cut": {"source": str, "target": str},
+    "set": {"name": str},
+    "swap": {"block": str, "type": str},
+    "add": {"type": str, "at": list},
+    "remove": {"block": str},
+    "rename": {"block": str, "to": str},
+    "record": {"signal": str, "on": bool},
+    "patch": {"changes": list},
+}

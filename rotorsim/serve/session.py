@@ -1,0 +1,214 @@
+"""What one server serves: a diagram's file, its runs, and the pages that look at them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from rotorsim.diagram.diagram import Diagram, Port
+from rotorsim.diagram.edit import fitting_types
+from rotorsim.diagram.parse.document import endpoint
+from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.diagram.parse.source import read_document
+from rotorsim.diagram.resolve.registry import Registry
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
+from rotorsim.diagram.resolve.values import ValueProblem, numeric, option_value
+from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.files import write_atomically
+from rotorsim.model.load import load
+from rotorsim.serve.changes import ConflictError
+from rotorsim.serve.runs import Runs
+from rotorsim.serve.store import DiagramFile, data_of
+from rotorsim.serve.view import palette_of, problem_of_block, shape_text, view_of
+from rotorsim.units import UnitError, compatible
+
+Data = dict[str, Any]
+
+
+@dataclass
+class Session:
+    """A diagram that is open, or the gallery of shipped ones. folder: where copies go."""
+
+    folder: Path
+    file: DiagramFile | None = None
+    trusted: bool = False
+    read_only: bool = False
+    runs: Runs = field(default_factory=Runs)
+
+    def state(self) -> Data:
+        """Return what every page shows."""
+        if self.file is None:
+            return {"kind": "state", "file": None, "read_only": self.read_only}
+        state = self.file.state
+        names = [] if state.diagram is None else list(state.diagram.nodes)
+        return {
+            "kind": "state",
+            "file": self.file.path.name,
+            "sha": state.sha,
+            "read_only": self.read_only,
+            "valid": state.valid,
+            "problems": [problem_of_block(problem, names) for problem in state.problems],
+            "view": None if state.diagram is None else view_of(state.diagram),
+        }
+
+    def palette(self) -> Data:
+        """Return all types of blocks."""
+        registry = Registry() if self.file is None else self.file.registry
+        return {"types": palette_of(registry.all_types())}
+
+    def gallery(self) -> Data:
+        """Return the diagrams that come with rotorsim."""
+        found = []
+        for name, path in shipped_diagrams().items():
+            data = read_document(path).data
+            found.append({"name": name, "description": str(data.get("description", ""))})
+        return {"diagrams": found, "open": None if self.file is None else self.file.path.name}
+
+    def copy(self, name: object) -> Data:
+        """Copy a diagram that comes with rotorsim to the folder, under a name that is not taken, and open it."""
+        shipped = shipped_diagrams()
+        if self.read_only or self.file is not None:
+            what = "nothing is written: --read-only" if self.read_only else "a diagram is open"
+            raise RotorsimError(Problem(what, "copy"))
+        if not isinstance(name, str) or name not in shipped:
+            raise RotorsimError(Problem("no diagram of this name", str(name), hint=near_miss(str(name), shipped)))
+        names = [f"{name}.json", *(f"{name}_{k}.json" for k in range(2, 1000))]
+        path = next(self.folder / one for one in names if not (self.folder / one).exists())
+        write_atomically(path, format_document({**read_document(shipped[name]).data, "name": path.stem}))
+        self.file = DiagramFile(path, trusted=self.trusted)
+        return {"file": path.name}
+
+    # -- what a page asks for, by the kind of its message --------------------------------------------------------------
+
+    def answer(self, message: Mapping[str, Any]) -> Data:
+        """Return the answer to a message of a page, with its id. Mistakes are answers, too."""
+        asked: dict[str, Callable[[Mapping[str, Any]], Data]] = {
+            "edit": self._edit,
+            "fits": self._fits,
+            "types": self._types,
+            "value": self._value,
+        }
+        kind = message.get("kind")
+        try:
+            if kind not in asked:
+                raise RotorsimError(Problem(f"unknown message '{kind}'", hint=near_miss(str(kind), asked)))
+            found = asked[str(kind)](message)
+        except ConflictError as error:
+            conflicts = [
+                {"what": one.name, "mine": data_of(one.mine), "theirs": data_of(one.theirs)} for one in error.conflicts
+            ]
+            found = {"kind": "conflict", "sha": self._open().state.sha, "conflicts": conflicts}
+        except RotorsimError as error:
+            found = self.refused(error)
+        return {**found, "id": message.get("id")}
+
+    def refused(self, error: RotorsimError) -> Data:
+        """Return mistakes as a message for the page."""
+        diagram = None if self.file is None else self.file.state.diagram
+        names = [] if diagram is None else list(diagram.nodes)
+        return {"kind": "refused", "problems": [problem_of_block(problem, names) for problem in error.problems]}
+
+    def _open(self) -> DiagramFile:
+        if self.file is None:
+            raise RotorsimError(Problem("no diagram is open", hint="copy one of the gallery"))
+        return self.file
+
+    def _diagram(self) -> Diagram:
+        diagram = self._open().state.diagram
+        if diagram is None:
+            raise RotorsimError(Problem("the diagram cannot be drawn", hint="correct its file"))
+        return diagram
+
+    def _edit(self, message: Mapping[str, Any]) -> Data:
+        operations, base = message.get("operations"), message.get("base")
+        if not isinstance(operations, list) or not operations or not isinstance(base, str):
+            raise RotorsimError(Problem("an edit has a base and operations", "edit"))
+        edited = self._open().edit(base, operations, mine=message.get("mine") is True)
+        return {"kind": "done", "sha": edited.sha, "undo": edited.undo, "redo": edited.redo}
+
+    def _types(self, message: Mapping[str, Any]) -> Data:
+        file, block = self._open(), str(message.get("block"))
+        document = file.state.document or {}
+        entry = document.get("blocks", {}).get(block)
+        if entry is None:
+            raise RotorsimError(Problem(f"no block '{block}' in this file", block))
+        found = [name for name in fitting_types(document, block, file.registry) if name != entry.get("type")]
+        return {"kind": "types", "types": found}
+
+    def _value(self, message: Mapping[str, Any]) -> Data:
+        """Return what is wrong with a value that is being typed."""
+        diagram, name, value = self._diagram(), str(message.get("name")), message.get("value")
+        block, _, key = name.rpartition(".")
+        problem, hint = "", ""
+        try:
+            node = diagram.nodes.get(block)
+            if isinstance(value, str) and value.startswith("$"):
+                if value[1:] not in diagram.parameters:
+                    raise ValueProblem(f"no diagram parameter '{value[1:]}'", near_miss(value[1:], diagram.parameters))
+            elif node is not None and key in node.block.options:
+                option_value(value, node.block.options[key])
+            else:
+                numeric(value, diagram.unit_of_parameter(name))
+        except ValueProblem as error:
+            problem, hint = error.what, error.hint
+        except UnitError as error:
+            problem = str(error)
+        return {"kind": "value", "problem": problem, "hint": hint}
+
+    def _fits(self, message: Mapping[str, Any]) -> Data:
+        """Return the other ends that a wire from or to a port may have, and why others may not."""
+        diagram = self._diagram()
+        end = endpoint(message.get("port"))
+        node = None if end is None else diagram.nodes.get(end.block)
+        if end is None or node is None or end.port not in {**node.inputs, **node.outputs}:
+            raise RotorsimError(Problem("no such port", str(message.get("port"))))
+        outward = end.port in node.outputs
+        own = node.outputs[end.port] if outward else node.inputs[end.port]
+        taken = {(wire.target.block, wire.target.port) for wire in diagram.wires}
+        found = []
+        for other in diagram.nodes.values():
+            for port in (other.inputs if outward else other.outputs).values():
+                source, target = (own, port) if outward else (port, own)
+                why = _misfit(source, target, (target.block, target.name) in taken)
+                found.append({"port": str(port), "ok": not why, "why": why})
+        return {"kind": "fits", "ports": found}
+
+    # -- runs, in a worker thread --------------------------------------------------------------------------------------
+
+    def work(self, message: Mapping[str, Any], stopped: Event, progress: Callable[[float], None]) -> Data:
+        """Return the result of a run or an analysis. Raises RotorsimError."""
+        file = self._open()
+        if not file.state.valid:
+            raise RotorsimError(Problem("the file on disk has mistakes", hint="correct them there"), *_errors(file))
+        settings = message.get("set") or {}
+        if not isinstance(settings, Mapping):
+            raise RotorsimError(Problem("'set' is an object of names and values", "run"))
+        document, folder = file.state.document or {}, file.path.parent
+
+        def source() -> Diagram:
+            return load(document, folder=folder, trust_blocks=self.trusted)
+
+        if message.get("kind") == "run":
+            data = self.runs.run(file.state.sha, source, settings, stopped, progress)
+            return {"kind": "result", **data}
+        return {"kind": "table", **self.runs.analyse(file.state.sha, source, str(message.get("what")), settings)}
+
+
+def _errors(file: DiagramFile) -> list[Problem]:
+    return [problem for problem in file.state.problems if problem.severity == "error"]
+
+
+def _misfit(source: Port, target: Port, taken: bool) -> str:
+    """Return why an output does not fit an input, "" if it may: what shapes are left open the wiring decides."""
+    if taken and not target.additive and not target.declaration.by_parts:  # type: ignore[union-attr]
+        return "has a wire already"
+    if compatible(source.unit, target.unit) in ("different", "angle"):
+        return f"unit '{source.unit}' does not fit '{target.unit}'"
+    fixed = all(isinstance(port.declaration.shape, tuple) for port in (source, target))
+    numbers = fixed and all(isinstance(n, int) for port in (source, target) for n in port.declaration.shape)  # type: ignore[union-attr]
+    if numbers and source.shape != target.shape:
+        return f"shape {shape_text(source.shape)} does not fit {shape_text(target.shape)}"
+    return ""

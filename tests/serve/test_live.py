@@ -1,0 +1,239 @@
+"""The live connection: states, edits of two pages, hand edits, runs, questions while typing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorsim import load, simulate
+from rotorsim.serve.session import Session
+from rotorsim.serve.store import DiagramFile
+from tests.serve.serving import TOKEN, Served, opened, served, talk
+
+MASS = {"op": "set", "name": "rotor.mass"}
+
+
+@pytest.fixture
+def at(mine: Path) -> Iterator[Served]:
+    with served(Session(mine.parent, DiagramFile(mine))) as found:
+        yield found
+
+
+def test_the_state_has_all_that_is_drawn(at: Served) -> None:
+    async def talking() -> None:
+        state = (await opened(at)).state
+        assert (state["file"], state["valid"], state["problems"], state["read_only"]) == ("mine.json", True, [], False)
+        blocks = {block["name"]: block for block in state["view"]["blocks"]}
+        assert list(blocks) == ["clock", "crack", "unbalance", "rotor", "controller", "amb", "reference", "bus"]
+        ports = {port["name"]: port for port in blocks["rotor"]["inputs"]}
+        assert (ports["force"]["unit"], ports["force"]["shape"], ports["force"]["wired"]) == ("N", "2", True)
+        mass = next(one for one in blocks["rotor"]["parameters"] if one["name"] == "mass")
+        assert (mass["written"], mass["value"], mass["unit"]) == ("2 kg", "2 kg", "kg")
+        damping = next(one for one in blocks["rotor"]["parameters"] if one["name"] == "viscous_damping")
+        assert damping["follows"] == "viscous_damping"
+        assert len(state["view"]["wires"]) == 14
+        for wire in state["view"]["wires"]:  # from the port of the one block to that of the other
+            block, port = wire["source"].split(".")
+            start = next(one for one in blocks[block]["outputs"] if one["name"] == port)
+            assert wire["points"][0] == [start["x"], start["y"]]
+        assert [column["value"] for column in state["view"]["columns"]] == [0, 1, 2, 3, 4]
+
+    talk(talking)
+
+
+def test_two_pages_agree_and_hand_edits_appear(at: Served, mine: Path) -> None:
+    async def talking() -> None:
+        one, two = await opened(at), await opened(at)
+        done = await one.edit({**MASS, "value": "3 kg"})
+        assert done["kind"] == "done"
+        told = await two.next()
+        assert (told["kind"], told["sha"]) == ("state", done["sha"])
+        conflict = await two.edit({**MASS, "value": "4 kg"})  # of the state before
+        assert conflict["kind"] == "conflict"
+        expected = [{"what": "blocks.rotor.parameters.mass", "mine": "4 kg", "theirs": "3 kg"}]
+        assert conflict["conflicts"] == expected
+        taken = await two.edit({**MASS, "value": "4 kg"}, base=conflict["sha"], mine=True)
+        assert taken["kind"] == "done"
+        mine.write_text(mine.read_text().replace('"4 kg"', '"5 kgg"'))
+        while (told := await one.next())["valid"]:
+            pass
+        assert [problem["what"] for problem in told["problems"]] == ["unknown unit 'kgg'"]
+        assert told["problems"][0]["block"] == "rotor"
+        assert told["problems"][0]["place"].startswith("mine.json:")
+        assert told["view"] is not None
+        refused = await one.edit({**MASS, "value": "6 kg"}, base=told["sha"])
+        assert refused["kind"] == "refused"
+        assert refused["problems"][0]["what"] == "the file on disk has mistakes, and nothing is written over them"
+
+    talk(talking)
+
+
+def test_names_with_markup_are_text(at: Served, mine: Path) -> None:
+    document = json.loads(mine.read_text()) | {"name": "<img src=x onerror=alert(1)>"}
+    mine.write_text(json.dumps(document))
+
+    async def talking() -> None:
+        page = await opened(at)
+        assert page.state["view"]["name"] == "<img src=x onerror=alert(1)>"  # told as data; the page writes text
+
+    talk(talking)
+
+
+def test_a_run_is_that_of_the_library(at: Served, mine: Path) -> None:
+    async def talking() -> None:
+        page = await opened(at)
+        found = await page.ask(kind="run", set={"speed": "1800 rpm"})
+        assert (found["kind"], found["status"], found["title"]) == ("result", "finished", "mine, 1800 rpm")
+        assert found["speed_rpm"] == pytest.approx(1800.0)
+        expected = simulate(load(mine), parameters={"speed": "1800 rpm"})
+        assert [one["name"] for one in found["signals"]] == ["rotor.displacement", "controller.current"]
+        assert found["signals"][0] == {
+            "name": "rotor.displacement",
+            "unit": "um",
+            "entries": ["x", "y"],
+            "two_axis": True,
+        }
+        assert found["values"][0] == pytest.approx(1e6 * expected["rotor.displacement"][:, 0], rel=1e-6)
+        assert found["values"][3] == pytest.approx(expected["controller.current"][:, 1], rel=1e-6)
+        assert found["time"] == pytest.approx(expected.time, rel=1e-6)
+        for kind in ("overview", "spectrum"):
+            answer, body = at.ask(f"/api/figure/{found['run']}/{kind}", X_Rotorsim_Token=TOKEN)
+            assert answer.status == 200
+            assert answer.headers["Content-Type"] == "image/svg+xml"
+            assert b"<svg" in body[:500]
+        assert at.ask(f"/api/figure/{found['run']}/modes", X_Rotorsim_Token=TOKEN)[0].status == 404
+        refused = await page.ask(kind="run", set={"speed": "1800 kg"})
+        assert refused["kind"] == "refused"
+        assert "speed" in refused["problems"][0]["subject"]
+
+    talk(talking)
+
+
+def test_a_run_is_stopped(at: Served, mine: Path) -> None:
+    mine.write_text(mine.read_text().replace('"stop": "5 s"', '"stop": "100000 s", "record_every": 100000'))
+
+    async def talking() -> None:
+        page = await opened(at)
+        await page.connection.write_message(json.dumps({"id": 77, "kind": "run"}))
+        while (await page.next())["kind"] != "progress":
+            pass
+        await page.connection.write_message(json.dumps({"id": 77, "kind": "cancel"}))
+        while (told := await page.next())["kind"] == "progress":
+            pass
+        assert (told["kind"], told["id"], told["problems"][0]["what"]) == ("refused", 77, "stopped")
+
+    talk(talking)
+
+
+def test_analyses_have_a_table_and_a_figure(at: Served) -> None:
+    async def talking() -> None:
+        page = await opened(at)
+        for what, first in (("modes", "mode"), ("campbell", "order"), ("periodic", "speed [rpm]")):
+            found = await page.ask(kind="analyse", what=what)
+            assert found["kind"] == "table"
+            assert found["columns"][0] == first
+            assert at.ask(f"/api/figure/{found['run']}/{what}", X_Rotorsim_Token=TOKEN)[0].status == 200
+            if what == "modes":
+                assert [row[1] for row in found["rows"]] == ["121.38", "121.38"]
+
+    talk(talking)
+
+
+def test_values_are_checked_while_they_are_typed(at: Served) -> None:
+    async def talking() -> None:
+        page = await opened(at)
+        for name, value, problem in (
+            ("rotor.mass", "2 kg", ""),
+            ("rotor.mass", "2 lb", ""),
+            ("rotor.mass", "2 kgg", "unknown unit 'kgg'"),
+            ("rotor.mass", "2 N", "unit 'N' does not fit 'kg'"),
+            ("rotor.mass", "$speed", ""),
+            ("rotor.mass", "$sped", "no diagram parameter 'sped'"),
+            ("speed", "1500 rpm", ""),
+            ("crack.terms", 5, ""),
+            ("crack.terms", "many", "must be a whole number"),
+        ):
+            found = await page.ask(kind="value", name=name, value=value)
+            assert found["problem"].startswith(problem) if problem else found["problem"] == "", (name, value, found)
+
+    talk(talking)
+
+
+def test_only_ports_that_fit_are_offered(at: Served) -> None:
+    async def talking() -> None:
+        page = await opened(at)
+        await page.edit({"op": "cut", "source": "rotor.displacement", "target": "amb.displacement"})
+        found = await page.ask(kind="fits", port="rotor.displacement")
+        fits = {one["port"] for one in found["ports"] if one["ok"]}
+        assert "amb.displacement" in fits
+        why = {one["port"]: one["why"] for one in found["ports"]}
+        assert why["controller.displacement"] == "has a wire already"
+        assert why["unbalance.theta"] == "has a wire already"
+        assert why["rotor.force"] == "unit 'm' does not fit 'N'"
+        found = await page.ask(kind="fits", port="amb.displacement")
+        assert {one["port"] for one in found["ports"] if one["ok"]} == {"rotor.displacement", "bus.output"}
+
+    talk(talking)
+
+
+def test_wrong_messages_are_answered_in_words(at: Served) -> None:
+    async def talking() -> None:
+        page = await opened(at)
+        for message, said in (
+            ({"kind": "dance"}, "unknown message 'dance'"),
+            ({"kind": "edit"}, "an edit has a base and operations"),
+            ({"kind": "edit", "base": "no", "operations": [MASS]}, "the version that was edited is not known any more"),
+            ({"kind": "fits", "port": "rotor.nothing"}, "no such port"),
+            ({"kind": "types", "block": "rotr"}, "no block 'rotr' in this file"),
+            ({"kind": "analyse", "what": "taste"}, "unknown analysis 'taste'"),
+            ({"kind": "run", "set": [1]}, "'set' is an object of names and values"),
+        ):
+            found = await page.ask(**message)
+            assert found["kind"] == "refused", message
+            assert found["problems"][0]["what"] == said
+
+    talk(talking)
+
+
+def test_numbers_that_json_cannot_hold_are_null(at: Served, mine: Path) -> None:
+    """KP = 0 drops the rotor into its negative stiffness: what diverges is told up to where it did."""
+    mine.write_text(mine.read_text().replace('"KP": "12200 A/m"', '"KP": "-1e9 A/m"'))
+
+    async def talking() -> None:
+        page = await opened(at)
+        found = await page.ask(kind="run")
+        assert found["kind"] == "result"
+        assert found["status"] in ("unstable", "diverged")
+        assert found["message"]
+        assert all(value is None or np.isfinite(value) for row in found["values"] for value in row)
+
+    talk(talking)
+
+
+def test_the_gallery_copies_a_diagram_to_the_folder(tmp_path: Path) -> None:
+    with served(Session(tmp_path)) as at:
+        answer, body = at.ask("/api/gallery", X_Rotorsim_Token=TOKEN)
+        names = [one["name"] for one in json.loads(body)["diagrams"]]
+        assert "jeffcott" in names
+        assert "fe_flexible" in names
+        for name, status in (("jeffcot", 400), ("../x", 400), ("jeffcott", 200)):
+            answer, body = at.ask("/api/copy", "POST", json.dumps({"name": name}), X_Rotorsim_Token=TOKEN)
+            assert answer.status == status, body
+        assert json.loads(body) == {"file": "jeffcott.json"}
+        assert [file.name for file in tmp_path.iterdir()] == ["jeffcott.json"]
+
+        async def talking() -> None:
+            assert (await opened(at)).state["file"] == "jeffcott.json"
+
+        talk(talking)
+
+
+def test_the_palette_has_every_type(at: Served) -> None:
+    from rotorsim.diagram.resolve.registry import all_types
+
+    _, body = at.ask("/api/palette", X_Rotorsim_Token=TOKEN)
+    assert {one["type"] for one in json.loads(body)["types"]} == set(all_types())

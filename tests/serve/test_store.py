@@ -1,0 +1,321 @@
+"""The file as the only store: operations, undo, edits on both sides, mistakes made by hand."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rotorsim import RotorsimError
+from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.diagram.resolve.resolution import resolve
+from rotorsim.serve.changes import ConflictError, differences, with_changes
+from rotorsim.serve.operations import Document, Editing, Operation, applied
+from rotorsim.serve.store import DiagramFile
+
+
+def document_of(path: Path) -> Document:
+    found: Document = json.loads(path.read_text())
+    return found
+
+
+def one(name: str, value: Any) -> list[Operation]:
+    return [{"op": "set", "name": name, "value": value}]
+
+
+def test_an_edit_is_written_in_canonical_form_and_taken_back_to_the_letter(opened: DiagramFile) -> None:
+    before = opened.path.read_bytes()
+    steps: list[list[Operation]] = [
+        [{"op": "remove", "block": "controller"}],
+        [{"op": "add", "type": "pd", "at": [3, 1.5], "parameters": {"KP": "12000 A/m"}}],
+        [{"op": "wire", "source": "rotor.displacement", "target": "pd.displacement"}],
+        [{"op": "rename", "block": "rotor", "to": "shaft"}],
+        [{"op": "move", "block": "shaft", "to": [2, 7]}, {"op": "set", "name": "speed", "value": "1800 rpm"}],
+        [{"op": "record", "signal": "amb.force", "on": True}],
+        [{"op": "cut", "source": "shaft.displacement", "target": "pd.displacement"}],
+        [{"op": "set", "name": "crack.sag", "value": None}],
+    ]
+    undos, redos, texts = [], [], []
+    for operations in steps:
+        done = opened.edit(opened.state.sha, operations)
+        undos.append(done.undo)
+        redos.append(done.redo)
+        texts.append(opened.path.read_text())
+        assert texts[-1] == format_document(document_of(opened.path))
+    for operations in undos[::-1]:
+        opened.edit(opened.state.sha, operations)
+    assert opened.path.read_bytes() == before
+    for operations, text in zip(redos, texts, strict=True):
+        opened.edit(opened.state.sha, operations)
+        assert opened.path.read_text() == text
+
+
+def test_blocks_are_wired_named_and_removed_with_all_that_is_theirs(opened: DiagramFile) -> None:
+    opened.edit(opened.state.sha, [{"op": "rename", "block": "rotor", "to": "shaft"}])
+    text = opened.path.read_text()
+    assert '"shaft.displacement"' in text
+    assert "rotor." not in text
+    opened.edit(opened.state.sha, [{"op": "remove", "block": "amb"}])
+    document = document_of(opened.path)
+    assert not [wire for wire in document["wires"] if "amb." in "".join(wire)]
+    assert "amb" not in document["layout"]
+    assert document["identify"].keys() == document_of(opened.path)["identify"].keys()
+
+
+def test_unfinished_diagrams_are_written_and_said_to_be_so(opened: DiagramFile) -> None:
+    opened.edit(opened.state.sha, [{"op": "cut", "source": "clock.theta", "target": "crack.theta"}])
+    assert opened.state.valid
+    [problem] = opened.state.problems
+    assert (problem.subject, problem.what, problem.place.file) == ("crack.theta", "input is not wired", "mine.json")
+    assert opened.state.diagram is not None
+
+
+@pytest.mark.parametrize(
+    ("operations", "said"),
+    [
+        (one("rotor.mass", "2 kgg"), "unknown unit 'kgg'"),
+        (one("rotor.mas", "2 kg"), "unknown parameter 'mas'"),
+        (one("rotr.mass", "2 kg"), "no block 'rotr'"),
+        (one("sped", "2 rpm"), "no diagram parameter 'sped'"),
+        (one("speed", None), "a parameter of the diagram has no default"),
+        ([{"op": "wire", "source": "rotor.displacement", "target": "amb.current"}], "input is wired twice"),
+        (
+            [{"op": "wire", "source": "rotor.displacement", "target": "rotor.force"}],
+            "units differ: rotor.displacement [m], but rotor.force [N]",
+        ),
+        ([{"op": "wire", "source": "rotor", "target": "amb.current"}], "is no end of a wire"),
+        ([{"op": "cut", "source": "rotor.displacement", "target": "amb.current"}], "there is no such wire"),
+        ([{"op": "swap", "block": "controller", "type": "pdi"}], "unknown block type 'pdi'"),
+        ([{"op": "swap", "block": "controller", "type": "gain"}], "type 'gain' has no input 'displacement'"),
+        ([{"op": "add", "type": "gian", "at": [0, 0]}], "unknown block type 'gian'"),
+        ([{"op": "add", "type": "gain", "at": [0, 0], "name": "amb"}], "there is a block of this name"),
+        ([{"op": "rename", "block": "amb", "to": "2nd"}], "'2nd' is not a name"),
+        ([{"op": "rename", "block": "amb", "to": "rotor"}], "there is a block of this name"),
+        ([{"op": "move", "block": "amb", "to": [1, "x"]}], "a block moves to two numbers"),
+        ([{"op": "paint", "block": "amb"}], "unknown operation 'paint'"),
+        ([{"op": "move", "block": "amb"}], "operation 'move' needs 'to'"),
+        ([{"op": "patch", "changes": [{"path": []}]}], "is no change of a document"),
+        (["move"], "unknown operation 'move'"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_and_nothing_is_written(
+    opened: DiagramFile, operations: list[Operation], said: str
+) -> None:
+    before = opened.path.read_bytes()
+    with pytest.raises(RotorsimError) as caught:
+        opened.edit(opened.state.sha, operations)
+    assert said in str(caught.value)
+    assert opened.path.read_bytes() == before
+    assert [file.name for file in opened.path.parent.iterdir()] == ["mine.json"]  # no backup either
+
+
+def test_edits_of_different_entries_are_put_together(opened: DiagramFile) -> None:
+    base = opened.state.sha
+    opened.edit(base, one("rotor.mass", "3 kg"))
+    opened.edit(base, [{"op": "add", "type": "gain", "at": [5, 0]}])
+    opened.edit(base, [{"op": "cut", "source": "reference.signal", "target": "bus.reference"}])
+    document = document_of(opened.path)
+    assert document["blocks"]["rotor"]["parameters"]["mass"] == "3 kg"
+    assert "gain" in document["blocks"]
+    assert ["reference.signal", "bus.reference"] not in document["wires"]
+
+
+def test_a_block_that_is_renamed_brings_along_what_was_changed_in_it(opened: DiagramFile) -> None:
+    base = opened.state.sha
+    opened.edit(base, one("rotor.mass", "3 kg"))
+    opened.edit(base, [{"op": "rename", "block": "rotor", "to": "shaft"}])
+    assert document_of(opened.path)["blocks"]["shaft"]["parameters"]["mass"] == "3 kg"
+
+
+def test_the_same_entry_changed_on_both_sides_waits_for_a_choice(opened: DiagramFile) -> None:
+    base = opened.state.sha
+    opened.edit(base, one("rotor.mass", "3 kg"))
+    before = opened.path.read_bytes()
+    with pytest.raises(ConflictError) as caught:
+        opened.edit(base, one("rotor.mass", "4 kg"))
+    [conflict] = caught.value.conflicts
+    assert (conflict.name, conflict.mine, conflict.theirs) == ("blocks.rotor.parameters.mass", "4 kg", "3 kg")
+    assert opened.path.read_bytes() == before
+    opened.edit(base, one("rotor.mass", "4 kg"), mine=True)
+    assert document_of(opened.path)["blocks"]["rotor"]["parameters"]["mass"] == "4 kg"
+
+
+def test_an_undo_waits_for_a_choice_where_others_have_changed_the_same(opened: DiagramFile) -> None:
+    done = opened.edit(opened.state.sha, one("rotor.mass", "3 kg"))
+    opened.edit(opened.state.sha, one("rotor.mass", "5 kg"))
+    with pytest.raises(ConflictError):
+        opened.edit(opened.state.sha, done.undo)
+    opened.edit(opened.state.sha, done.undo, mine=True)
+    assert document_of(opened.path)["blocks"]["rotor"]["parameters"]["mass"] == "2 kg"
+
+
+def test_a_hand_edit_with_mistakes_stays_as_it_is(opened: DiagramFile) -> None:
+    base, good = opened.state.sha, opened.path.read_text()
+    for bad, said in (
+        (good.replace('"rotor_2dof"', '"rotor_2dofs"'), "unknown block type 'rotor_2dofs'"),
+        (good[:-40], "mine.json:"),
+        ("", "mine.json"),
+    ):
+        opened.path.write_text(bad)
+        with pytest.raises(RotorsimError) as caught:
+            opened.edit(base, one("rotor.mass", "4 kg"))
+        assert "the file on disk has mistakes, and nothing is written over them" in str(caught.value)
+        assert said in str(caught.value)
+        assert opened.path.read_text() == bad
+        assert not opened.state.valid
+        assert opened.state.diagram is not None  # the last good picture
+    opened.path.write_text(good)
+    opened.edit(base, one("rotor.mass", "4 kg"))
+    assert opened.state.valid
+
+
+def test_a_file_that_is_deleted_is_not_made_anew(opened: DiagramFile) -> None:
+    opened.path.unlink()
+    with pytest.raises(RotorsimError) as caught:
+        opened.edit(opened.state.sha, one("rotor.mass", "4 kg"))
+    assert "file does not exist" in str(caught.value)
+    assert not opened.path.exists()
+
+
+def test_one_backup_is_kept_of_what_was_there(opened: DiagramFile) -> None:
+    before = opened.path.read_bytes()
+    for mass in ("3 kg", "4 kg"):
+        opened.edit(opened.state.sha, one("rotor.mass", mass))
+    [backup] = opened.path.parent.glob("mine.json.*.backup")
+    assert backup.read_bytes() == before
+
+
+def test_read_only_writes_nothing(mine: Path) -> None:
+    file = DiagramFile(mine, read_only=True)
+    with pytest.raises(RotorsimError, match="nothing is written: --read-only"):
+        file.edit(file.state.sha, one("rotor.mass", "4 kg"))
+
+
+def test_moving_a_block_of_a_diagram_without_layout_keeps_the_others_where_they_are(mine: Path) -> None:
+    document = document_of(mine)
+    del document["layout"]
+    mine.write_text(json.dumps(document))
+    file = DiagramFile(mine)
+    file.edit(file.state.sha, [{"op": "move", "block": "amb", "to": [9, 9]}])
+    layout = document_of(mine)["layout"]
+    assert layout.keys() == document["blocks"].keys()
+    assert layout["amb"] == [9, 9]
+    assert layout["clock"] == [0, 0]
+
+
+# --- anything at all --------------------------------------------------------------------------------------------------
+
+
+def some_operation(draw: random.Random, document: Document) -> list[Operation]:
+    """Return an operation that may be possible in a document."""
+    blocks, wires = list(document["blocks"]), document.get("wires", [])
+    block, wire = draw.choice(blocks), draw.choice(wires or [["clock.theta", "crack.theta"]])
+    numbers = [f"{draw.randint(1, 9)} kg", draw.randint(1, 99), None, "1 furlong", f"{draw.randint(1, 9)} um"]
+    names = ["rotor.mass", "crack.sag", "speed", "eccentricity", f"{block}.KP", "solver.step"]
+    return draw.choice(
+        [
+            [{"op": "move", "block": block, "to": [draw.randint(0, 5), draw.randint(0, 9) / 2]}],
+            [{"op": "set", "name": draw.choice(names), "value": draw.choice(numbers)}],
+            [{"op": "add", "type": draw.choice(["gain", "pd", "constant", "lag", "sum"]), "at": [1, 4]}],
+            [{"op": "remove", "block": block}],
+            [{"op": "rename", "block": block, "to": draw.choice(["shaft", "bearing", "b7"])}],
+            [{"op": "swap", "block": block, "type": draw.choice(["pd", "crack", "gain", "discrete_pid"])}],
+            [{"op": "cut", "source": wire[0], "target": wire[1]}],
+            [{"op": "wire", "source": wire[0], "target": draw.choice(wires or [wire])[1]}],
+            [{"op": "record", "signal": wire[0], "on": draw.random() < 0.5}],
+            [{"op": "cut", "source": wire[0], "target": wire[1]}, {"op": "remove", "block": block}],
+        ]
+    )
+
+
+def by_hand(draw: random.Random, file: DiagramFile) -> None:
+    """Change the file as somebody with an editor does, now and then so that it is no diagram any more."""
+    text = file.path.read_text()
+    kind = draw.random()
+    if kind < 0.15:
+        file.path.write_text(draw.choice([text[: len(text) // 2], "{}", text.replace("clock", "cloc", 1), ""]))
+        return
+    try:
+        document = json.loads(text)
+        new = applied(document, some_operation(draw, document), Editing(file.registry, {}))
+        resolve(new, unfinished=[])
+    except (RotorsimError, ValueError, KeyError):
+        return
+    file.path.write_text(json.dumps(new, indent=draw.choice([None, 3])))
+
+
+def check_step(draw: random.Random, file: DiagramFile, page: dict[str, Any]) -> None:
+    """Make one edit of a page, perhaps of an old version, and see what has become of everybody's entries."""
+    before = file.path.read_bytes()
+    undo = page["undo"].pop() if page["undo"] and draw.random() < 0.3 else None
+    operations = undo or some_operation(draw, page["document"])
+    editing = Editing(file.registry, {})
+    try:
+        done = file.edit(page["sha"], operations)
+    except RotorsimError:
+        assert file.path.read_bytes() == before
+        return
+    now, text = document_of(file.path), file.path.read_text()
+    assert text == format_document(now)
+    resolve(now, unfinished=[])
+    if undo is None:
+        page["undo"].append(done.undo)
+    old = json.loads(before)
+    kinds = {operation["op"] for operation in operations}
+    changed = {change.path for change in differences(old, now)}
+    if not kinds & {"rename", "patch"}:
+        wanted = differences(page["document"], applied(page["document"], operations, editing))
+        own = {change.path for change in wanted if change.path[0] != "layout"}  # all blocks get a place with the first
+        assert {path for path in changed if path[0] != "layout"} <= own  # nobody else's entries
+        assert with_changes(now, [change for change in wanted if change.path[0] != "layout"]) == now  # all of mine
+    assert with_changes(old, differences(old, now)) == now
+    assert format_document(with_changes(now, differences(now, old))) == format_document(old)
+    page |= {"sha": done.sha, "document": now}
+
+
+def everything(path: Path, seed: int, steps: int) -> None:
+    """Edit a file from two pages and by hand, each with what it knew last."""
+    draw = random.Random(seed)
+    file = DiagramFile(path)
+    pages = [{"sha": file.state.sha, "document": document_of(path), "undo": []} for _ in range(2)]
+    last_good = path.read_text()
+    for _ in range(steps):
+        kind = draw.random()
+        if kind < 0.25:
+            by_hand(draw, file)
+        elif kind < 0.4 and file.refresh() is not None and file.state.valid:
+            assert file.state.document is not None
+            draw.choice(pages).update(sha=file.state.sha, document=file.state.document)
+        else:
+            check_step(draw, file, draw.choice(pages))
+        file.refresh()
+        if file.state.valid:
+            last_good = path.read_text()
+        elif draw.random() < 0.5:
+            path.write_text(last_good)  # whoever has made the mistake takes it back
+
+
+@given(seed=st.integers(0, 2**32))
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_no_edit_is_lost_and_the_file_is_canonical_or_as_it_was_left(mine: Path, seed: int) -> None:
+    start = mine.read_text()
+    try:
+        everything(mine, seed, 12)
+    finally:
+        mine.write_text(start)
+
+
+@pytest.mark.slow
+@given(seed=st.integers(0, 2**32))
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_no_edit_is_lost_in_long_sessions(mine: Path, seed: int) -> None:
+    start = mine.read_text()
+    try:
+        everything(mine, seed, 40)
+    finally:
+        mine.write_text(start)
