@@ -11,7 +11,7 @@ import networkx as nx
 from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Wire
 
 LANE, MARGIN, HEAD, PORT = 7.0, 22.0, 38.0, 15.0  # px: wire spacing, free space, box title, one port
-TOP = 34.0  # px: above the first row, for a title
+ABOVE_ROWS = 34.0  # px: above the first row, for a title
 SIGNS = {"+": "+", "-": "\N{MINUS SIGN}", "*": "\N{MULTIPLICATION SIGN}", "/": "\N{DIVISION SIGN}"}
 Key = tuple[str, str]
 Point = tuple[float, float]
@@ -224,7 +224,7 @@ def _measure(boxes: Mapping[str, Box], columns: int, rows: int, channels: list[_
     wide = [max((b.width for b in boxes.values() if b.column == c), default=0.0) for c in range(columns)]
     high = [max((b.height for b in boxes.values() if b.row == r), default=0.0) for r in range(rows)]
     left, right = _gaps(0.0, [channel.width for channel in channels], wide)
-    top, bottom = _gaps(TOP, [street.width - MARGIN for street in streets], high)
+    top, bottom = _gaps(ABOVE_ROWS, [street.width - MARGIN for street in streets], high)
     for box in boxes.values():
         box.x = right[box.column] + (wide[box.column] - box.width) / 2
         box.y = bottom[box.row] + (high[box.row] - box.height) / 2

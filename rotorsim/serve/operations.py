@@ -16,7 +16,7 @@ from rotorsim.serve.changes import changes_of, with_changes
 
 Document = dict[str, Any]
 Operation = Mapping[str, Any]
-_NUMBER = re.compile(r"\d+$")
+BEHIND_NAME = re.compile(r"\d+$")
 
 
 @dataclass(frozen=True)
@@ -38,14 +38,14 @@ def applied(document: Document, operations: Iterable[Operation], editing: Editin
     """
     new = copy.deepcopy(document)
     for operation in operations:
-        if not isinstance(operation, Mapping) or operation.get("op") not in _KNOWN:
+        if not isinstance(operation, Mapping) or operation.get("op") not in OPERATIONS:
             name = operation.get("op") if isinstance(operation, Mapping) else operation
-            raise RotorsimError(Problem(f"unknown operation '{name}'", "edit", hint=near_miss(str(name), _KNOWN)))
-        needed = _NEEDED[operation["op"]]
+            raise RotorsimError(Problem(f"unknown operation '{name}'", "edit", hint=near_miss(str(name), OPERATIONS)))
+        needed = KEYS_NEEDED[operation["op"]]
         for key, kind in needed.items():
             if not isinstance(operation.get(key), kind):
                 raise RotorsimError(Problem(f"operation '{operation['op']}' needs '{key}'", "edit"))
-        new = _KNOWN[operation["op"]](new, operation, editing)
+        new = OPERATIONS[operation["op"]](new, operation, editing)
     return new
 
 
@@ -163,7 +163,7 @@ def _add(document: Document, operation: Operation, editing: Editing) -> Document
 
 def free_name(wanted: str, taken: Iterable[str]) -> str:
     """Return a name that is not taken: the one wanted, else it with the next number behind it."""
-    names, stem = set(taken), _NUMBER.sub("", wanted)
+    names, stem = set(taken), BEHIND_NAME.sub("", wanted)
     return next(name for name in (wanted, *(f"{stem}{k}" for k in range(2, len(names) + 3))) if name not in names)
 
 
@@ -244,7 +244,7 @@ def _patch(document: Document, operation: Operation, editing: Editing) -> Docume
     return with_changes(document, changes_of(operation["changes"]), mine=editing.mine)
 
 
-_KNOWN: dict[str, Callable[[Document, Operation, Editing], Document]] = {
+OPERATIONS: dict[str, Callable[[Document, Operation, Editing], Document]] = {
     "move": _move,
     "wire": _wire,
     "cut": _cut,
@@ -256,7 +256,7 @@ _KNOWN: dict[str, Callable[[Document, Operation, Editing], Document]] = {
     "record": _record,
     "patch": _patch,
 }
-_NEEDED: dict[str, dict[str, type]] = {
+KEYS_NEEDED: dict[str, dict[str, type]] = {
     "move": {"block": str, "to": list},
     "wire": {"source": str, "target": str},
     "cut": {"source": str, "target": str},

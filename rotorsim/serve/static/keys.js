@@ -1,0 +1,89 @@
+// The keyboard: what every key does.
+
+import { app, block, cell, duplicate, move, redo, remove, select, set, undo } from "./app.js";
+import { run } from "./runs.js";
+import { fit, focusBlock } from "./sheet.js";
+
+export const KEYS = [
+  ["Tab", "next block"],
+  ["Arrows", "nearest block in that direction"],
+  ["Alt + arrows", "move the block by a column or row"],
+  ["Enter", "to its values"],
+  ["w", "wire one of its ports"],
+  ["a", "add a block"],
+  ["d", "duplicate"],
+  ["r", "rename"],
+  ["s", "swap for another type"],
+  ["Delete", "remove the block, or cut the wire"],
+  ["u, Ctrl+Z", "undo"],
+  ["Ctrl+Y, Ctrl+Shift+Z", "redo"],
+  ["p", "run"],
+  ["f", "the whole diagram"],
+  ["/", "find a block"],
+  ["Escape", "close, or select nothing"],
+];
+const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+export function onKey(event) {
+  if (!app.state?.view || app.dialog) return;
+  const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName);
+  const control = event.ctrlKey || event.metaKey;
+  if (control && event.key.toLowerCase() === "z" && !typing) return act(event, event.shiftKey ? redo : undo);
+  if (control && event.key.toLowerCase() === "y" && !typing) return act(event, redo);
+  if (event.key === "Escape") return act(event, () => (typing ? event.target.blur() : select(null)));
+  if (typing || control) return;
+  const one = block(app.selected?.block);
+  if (STEPS[event.key] && one) return act(event, () => (event.altKey ? shift(one, STEPS[event.key]) : go(one, STEPS[event.key])));
+  const actions = {
+    a: () => !app.state.read_only && set({ dialog: { kind: "palette" } }),
+    p: () => run(),
+    f: fit,
+    "/": () => document.querySelector("[data-testid=search]").focus(),
+    "?": () => set({ dialog: { kind: "keys" } }),
+    u: undo,
+    Delete: () => app.selected && remove(),
+    Backspace: () => app.selected && remove(),
+  };
+  if (one) {
+    actions.Enter = () => document.querySelector("aside input, aside select")?.focus();
+    actions.d = duplicate;
+    actions.r = () => set({ dialog: { kind: "rename", block: one.name } });
+    actions.s = () => set({ dialog: { kind: "swap", block: one.name } });
+    actions.w = () => set({ dialog: { kind: "wire", block: one.name } });
+  }
+  const action = actions[event.key];
+  if (action && (event.key !== "Enter" || event.target.closest?.(".block") || event.target === document.body)) act(event, action);
+}
+
+function act(event, action) {
+  event.preventDefault();
+  action();
+}
+
+function shift(one, [dx, dy]) {
+  if (!one.editable) return;
+  const view = app.state.view;
+  const next = (cells, value, step) => {
+    const values = cells.map((each) => each.value);
+    const k = values.indexOf(value) + step;
+    return values[k] ?? value + step;
+  };
+  const [column, row] = cell(one);
+  move(one.name, dx ? next(view.columns, column, dx) : column, dy ? next(view.rows, row, dy) : row);
+}
+
+// Selects the block that is nearest in a direction.
+function go(one, [dx, dy]) {
+  const middle = (each) => [each.x + each.width / 2, each.y + each.height / 2];
+  const [x, y] = middle(one);
+  const far = (each) => {
+    const [u, v] = middle(each);
+    const along = (u - x) * dx + (v - y) * dy;
+    return along <= 1 ? Infinity : along + 2 * Math.abs((u - x) * dy + (v - y) * dx);
+  };
+  const best = app.state.view.blocks.reduce((a, b) => (far(b) < far(a) ? b : a));
+  if (far(best) < Infinity) {
+    select({ block: best.name });
+    focusBlock(best.name);
+  }
+}

@@ -1,0 +1,76 @@
+// The connection to the server: the token, requests with their answers, and what the server says by itself.
+
+const KEPT = "rotorsim-token";
+
+export function token() {
+  const given = location.hash.slice(1);
+  if (given) {
+    sessionStorage.setItem(KEPT, given);
+    history.replaceState(null, "", location.pathname);
+  }
+  return sessionStorage.getItem(KEPT) ?? "";
+}
+
+export async function get(path) {
+  const answer = await fetch(path, { headers: { "X-Rotorsim-Token": token() } });
+  if (!answer.ok) throw new Error((await answer.text()).trim());
+  return answer;
+}
+
+export async function post(path, data) {
+  const answer = await fetch(path, {
+    method: "POST",
+    headers: { "X-Rotorsim-Token": token(), "Content-Type": "application/json" },
+    body: JSON.stringify(data),
+  });
+  return answer.json();
+}
+
+export class Live {
+  constructor(told, lost) {
+    this.told = told;
+    this.lost = lost;
+    this.count = 0;
+    this.waiting = new Map();
+    this.connect();
+  }
+
+  connect() {
+    const socket = new WebSocket(`ws://${location.host}/api/live`);
+    this.socket = socket;
+    socket.onopen = () => socket.send(JSON.stringify({ token: token() }));
+    socket.onmessage = (event) => this.receive(JSON.parse(event.data));
+    socket.onclose = (event) => {
+      for (const { answer } of this.waiting.values()) answer({ kind: "lost" });
+      this.waiting.clear();
+      this.lost(event.code);
+      if (event.code !== 4403) setTimeout(() => this.connect(), 1000);
+    };
+  }
+
+  receive(data) {
+    if (data.kind === "state") this.told(data);
+    const request = this.waiting.get(data.id);
+    if (!request) return;
+    if (data.kind === "progress") request.progress?.(data.share);
+    else {
+      this.waiting.delete(data.id);
+      request.answer(data);
+    }
+  }
+
+  // Returns the answer to a message: never fails, a lost connection is an answer of kind "lost".
+  ask(message, progress) {
+    const id = ++this.count;
+    return new Promise((answer) => {
+      if (this.socket.readyState !== WebSocket.OPEN) return answer({ kind: "lost" });
+      this.waiting.set(id, { answer, progress });
+      this.socket.send(JSON.stringify({ ...message, id }));
+      message.started?.(id);
+    });
+  }
+
+  cancel(id) {
+    this.socket.send(JSON.stringify({ kind: "cancel", id }));
+  }
+}

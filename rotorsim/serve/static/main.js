@@ -1,0 +1,69 @@
+// The page: bars, sheet, inspector, results.
+
+import { html, render } from "./vendor/htm-preact-3.1.1.module.js";
+import { app, drawnBy, redo, set, start, undo } from "./app.js";
+import { Dialog } from "./dialogs.js";
+import { Gallery } from "./gallery.js";
+import { Inspector } from "./inspector.js";
+import { onKey } from "./keys.js";
+import { token } from "./live.js";
+import { Problems } from "./problems.js";
+import { Results, RunBar } from "./runs.js";
+import { Sheet, find, fit, zoom } from "./sheet.js";
+
+function Bar() {
+  const writes = app.state && !app.state.read_only;
+  const undoes = app.undo[app.undo.length - 1]?.title;
+  const redoes = app.redo[app.redo.length - 1]?.title;
+  return html`<header>
+    <strong class="name">${app.state.view?.name ?? app.state.file}</strong>
+    <span class="file">${app.state.file}${app.state.read_only ? ", read only" : ""}</span>
+    ${writes &&
+    html`<button data-testid="undo" disabled=${!undoes} title=${undoes ? `Undo: ${undoes} (Ctrl+Z)` : "Nothing to undo"} onClick=${undo}>Undo</button>
+      <button data-testid="redo" disabled=${!redoes} title=${redoes ? `Redo: ${redoes} (Ctrl+Y)` : "Nothing to redo"} onClick=${redo}>Redo</button>
+      <button data-testid="add" title="Add a block (a)" onClick=${() => set({ dialog: { kind: "palette" } })}>Add block</button>`}
+    <input type="search" data-testid="search" placeholder="Find a block (/)" aria-label="Find a block"
+      value=${app.search} onInput=${(event) => find(event.target.value)} />
+    <span class="group" role="group" aria-label="Zoom">
+      <button aria-label="Smaller" onClick=${() => zoom(1 / 1.25)}>−</button>
+      <button title="The whole diagram (f)" onClick=${fit}>Fit</button>
+      <button aria-label="Larger" onClick=${() => zoom(1.25)}>+</button>
+    </span>
+    <button title="Keys (?)" onClick=${() => set({ dialog: { kind: "keys" } })}>Keys</button>
+  </header>`;
+}
+
+function Banners() {
+  const first = app.state?.problems?.find((one) => one.severity === "error");
+  return html`${app.lost
+    ? html`<div class="banner" role="alert" data-testid="lost">
+        ${app.lost === 4403 ? "This address is not known: open the one that 'rotorsim serve' printed." : "No connection to rotorsim serve; trying again every second."}
+      </div>`
+    : null}
+  ${app.state && app.state.file && !app.state.valid
+    ? html`<div class="banner" role="alert" data-testid="banner">
+        The file on disk cannot be drawn: ${first ? `${first.place ? first.place + ": " : ""}${first.subject ? first.subject + ": " : ""}${first.what}` : ""}. This is the last good picture; nothing is written over your edit.
+      </div>`
+    : null}`;
+}
+
+function Page() {
+  if (!token()) {
+    return html`<main class="alone"><h1>rotorsim</h1><p>Open the address that <code>rotorsim serve</code> printed.</p></main>`;
+  }
+  if (!app.state) return html`<main class="alone"><${Banners} /><p>Connecting to rotorsim serve ...</p></main>`;
+  if (!app.state.file) return html`<${Banners} /><${Gallery} />`;
+  return html`<${Bar} /><${Banners} />
+    <main>
+      <section class="left" aria-label="Diagram"><${Sheet} /><${Problems} /></section>
+      <aside aria-label="Inspector"><${Inspector} /></aside>
+      <section class="runs" aria-label="Runs"><div class="set"><${RunBar} /></div><div class="results"><${Results} /></div></section>
+    </main>
+    <${Dialog} />
+    <div class="said" role="status" aria-live="polite">${app.said}</div>`;
+}
+
+drawnBy(() => render(html`<${Page} />`, document.getElementById("page")));
+set({});
+addEventListener("keydown", onKey);
+if (token()) start();

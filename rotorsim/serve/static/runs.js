@@ -1,0 +1,260 @@
+// Runs: parameters to move, results kept side by side, time histories, orbits, analyses and figures.
+
+import uPlot from "./vendor/uPlot-1.6.32.esm.js";
+import { html, useEffect, useRef, useState } from "./vendor/htm-preact-3.1.1.module.js";
+import { app, live, set } from "./app.js";
+import { Field } from "./inspector.js";
+import { get } from "./live.js";
+
+const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#8c5fa8", "#b8860b", "#56697a"];
+const DASHES = [[], [8, 4], [2, 3], [8, 3, 2, 3]];
+const ORBIT_TURNS = 4;
+const most = { runs: 8, entries: 6 };
+Object.assign(app, { runs: [], moved: {}, running: null, table: null, figure: null, count: 0 });
+
+let again = false;
+
+// Simulates the file as it is, with the parameters that were moved. slid: the run takes the place of the last such.
+export async function run(slid = false) {
+  if (app.running) {
+    again = true;
+    return;
+  }
+  const settings = Object.fromEntries(Object.entries(app.moved).filter(([name]) => parameter(name)));
+  const working = { share: 0, id: null };
+  set({ running: working, said: "running" });
+  const found = await live.ask({ kind: "run", set: settings, started: (id) => (working.id = id) }, (share) => {
+    working.share = share;
+    set({});
+  });
+  set({ running: null });
+  if (found.kind === "result") keep(found, slid, settings);
+  else set({ refused: found.problems ?? [], said: `no run: ${found.problems?.[0].what ?? "connection lost"}` });
+  if (again) {
+    again = false;
+    run(true);
+  }
+}
+
+const parameter = (name) => app.state.view?.parameters.some((one) => one.name === name);
+
+function keep(found, slid, settings) {
+  const number = slid && app.runs[app.runs.length - 1]?.slid ? app.count : ++app.count;
+  const changed = Object.entries(settings).map(([name, value]) => `${name} = ${value}`);
+  const title = [found.title, ...changed.filter((text) => !text.startsWith("speed ="))].join(", ");
+  const one = { ...found, number, slid, title, shown: true };
+  const others = slid ? app.runs.filter((each) => !each.slid) : app.runs;
+  const bad = found.status === "finished" ? "" : `${found.status}: `;
+  set({ runs: [...others, one].slice(-most.runs), said: `${title}: ${bad}${found.message || "finished"}` });
+}
+
+async function analyse(what) {
+  set({ running: { share: 0, id: null }, said: `${what} ...` });
+  const found = await live.ask({ kind: "analyse", what, set: app.moved });
+  set({ running: null });
+  if (found.kind === "table") {
+    set({ table: found, said: found.title });
+    show(found.run, what, found.title);
+  } else set({ refused: found.problems ?? [], said: `not done: ${found.problems?.[0].what}` });
+}
+
+async function show(number, kind, title) {
+  try {
+    const answer = await get(`/api/figure/${number}/${kind}`);
+    set({ figure: { url: URL.createObjectURL(await answer.blob()), title, file: `${kind}.svg` } });
+  } catch (error) {
+    set({ said: error.message });
+  }
+}
+
+const QUANTITY = /^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)$/;
+
+function Slider({ item }) {
+  const given = typeof item.written === "number" ? [null, item.written, ""] : QUANTITY.exec(item.written ?? "");
+  const [timer] = useState({ id: 0 });
+  const now = app.moved[item.name];
+  const item_ = { ...item, doc: `sets ${item.followers.join(", ")}` };
+  if (!given) return html`<${Field} name=${item.name} label=${item.name} item=${item_} />`;
+  const value = Number(given[1]);
+  const [low, high] = value === 0 ? [-1, 1] : [Math.min(0.5 * value, 1.5 * value), Math.max(0.5 * value, 1.5 * value)];
+  const at = now === undefined ? value : Number(QUANTITY.exec(String(now))[1]);
+  const slide = (event) => {
+    const next = Number(Number(event.target.value).toPrecision(6));
+    const moved = { ...app.moved, [item.name]: given[2] ? `${next} ${given[2]}` : next };
+    set({ moved });
+    clearTimeout(timer.id);
+    timer.id = setTimeout(() => run(true), 80);
+  };
+  const more = html`<input type="range" data-testid=${`slider-${item.name}`} aria-label=${`${item.name}, for runs only`} min=${low} max=${high}
+      step=${(high - low) / 200} value=${at} onInput=${slide} />
+    <output class=${now === undefined ? "" : "moved"}>${now === undefined ? "as in the file" : now}</output>`;
+  return html`<${Field} name=${item.name} label=${item.name} item=${item_} more=${more} />`;
+}
+
+export function RunBar() {
+  const view = app.state.view;
+  const moved = Object.keys(app.moved).length > 0;
+  return html`<div class="runbar">
+    <button class="main" data-testid="run" disabled=${!!app.running || !app.state.valid} title="Simulate (p)" onClick=${() => run()}>Run</button>
+    <button disabled=${!!app.running} onClick=${() => analyse("modes")}>Modes</button>
+    <button disabled=${!!app.running} onClick=${() => analyse("campbell")}>Campbell</button>
+    <button disabled=${!!app.running} onClick=${() => analyse("periodic")}>Over speed</button>
+    ${app.running
+      ? html`<progress max="1" value=${app.running.share} aria-label="Progress" />
+          <button onClick=${() => app.running.id && live.cancel(app.running.id)}>Cancel</button>`
+      : null}
+    ${moved ? html`<button onClick=${() => set({ moved: {} })}>Sliders back</button>` : null}
+  </div>
+  <details class="sliders" open><summary>Parameters of the diagram</summary>
+    ${moved ? html`<p class="moved">Sliders are for runs only: the file stays as it is.</p>` : null}
+    ${view?.parameters.map((item) => html`<${Slider} key=${item.name} item=${item} />`)}</details>`;
+}
+
+function Kept() {
+  if (!app.runs.length) return html`<p class="hint">Press Run, or move a slider. Results are kept here, side by side.</p>`;
+  const change = (one, values) => set({ runs: app.runs.map((each) => (each === one ? { ...each, ...values } : each)) });
+  return html`<ul class="kept">${app.runs.map((one, k) => html`<li key=${one.number}>
+    <label><input type="checkbox" checked=${one.shown} onChange=${() => change(one, { shown: !one.shown })} />
+      <svg class="dash" viewBox="0 0 40 8" aria-hidden="true"><path d="M0,4 h40" stroke=${COLOURS[k % COLOURS.length]} stroke-dasharray=${DASHES[k % DASHES.length].join(" ")} /></svg>
+      ${one.title}${one.status === "finished" ? "" : html` <b class="bad">${one.status}</b>`}</label>
+    ${one.slid ? html`<button class="small" title="Keep this run when a slider moves again" onClick=${() => change(one, { slid: false })}>keep</button>` : null}
+    <button class="small" onClick=${() => show(one.run, "spectrum", `Full spectrum, ${one.title}`)}>spectrum</button>
+    <button class="small" onClick=${() => show(one.run, "overview", one.title)}>page</button>
+    <button class="small" aria-label=${`Remove ${one.title}`} onClick=${() => set({ runs: app.runs.filter((each) => each !== one) })}>×</button>
+    ${one.message ? html`<p class="wrong">${one.message}</p>` : null}</li>`)}</ul>`;
+}
+
+// The rows of a signal in the values of a run.
+function rowsOf(one, name) {
+  let first = 0;
+  for (const signal of one.signals) {
+    if (signal.name === name) return { signal, rows: one.values.slice(first, first + signal.entries.length) };
+    first += signal.entries.length;
+  }
+  return null;
+}
+
+function Chart({ name, runs }) {
+  const box = useRef(null);
+  useEffect(() => {
+    const parts = runs.map(([one, k]) => [one, k, rowsOf(one, name)]).filter((part) => part[2]);
+    const unit = parts[0][2].signal.unit;
+    const alike = parts.every(([one]) => one.time.length === parts[0][0].time.length && one.time.at(-1) === parts[0][0].time.at(-1));
+    const tables = parts.map(([one, , { rows }]) => [one.time, ...rows.slice(0, most.entries)]);
+    const data = alike ? [tables[0][0], ...tables.flatMap((table) => table.slice(1))] : uPlot.join(tables);
+    const series = parts.flatMap(([one, k, { signal }]) =>
+      signal.entries.slice(0, most.entries).map((entry, j) => ({
+        label: runs.length > 1 ? `${entry}, ${one.title}` : entry,
+        stroke: COLOURS[j % COLOURS.length],
+        dash: DASHES[k % DASHES.length],
+        width: 1.2,
+        spanGaps: !alike,
+        value: (_, value) => (value === null || value === undefined ? "-" : value.toPrecision(5)),
+      })),
+    );
+    const element = box.current;
+    const chart = new uPlot({
+      width: Math.max(element.clientWidth, 240),
+      height: 190,
+      title: `${name} [${unit}]`,
+      scales: { x: { time: false } },
+      axes: [{ label: "time [s]", labelSize: 18, size: 36 }, { size: 60 }],
+      series: [{ label: "time [s]", value: (_, value) => (value === null || value === undefined ? "-" : value.toPrecision(6)) }, ...series],
+      cursor: { sync: { key: "time" }, drag: { x: true, y: false } },
+      legend: { live: true },
+    }, data, element);
+    const watch = new ResizeObserver(() => chart.setSize({ width: Math.max(element.clientWidth, 240), height: 190 }));
+    watch.observe(element);
+    return () => {
+      watch.disconnect();
+      chart.destroy();
+    };
+  }, [name, runs.map(([one, k]) => `${one.run}:${k}:${one.title}`).join()]);
+  return html`<div class="chart" data-testid="chart" role="img" aria-label=${`${name} over time`} ref=${box}></div>`;
+}
+
+function Orbit({ name, runs }) {
+  const canvas = useRef(null);
+  useEffect(() => drawOrbit(canvas.current, runs.map(([one, k]) => [one, k, rowsOf(one, name)]).filter((part) => part[2])));
+  return html`<canvas class="orbit" data-testid="orbit" width="440" height="440" role="img" aria-label=${`Orbit of ${name}`} ref=${canvas}></canvas>`;
+}
+
+function drawOrbit(canvas, parts) {
+  const pen = canvas.getContext("2d");
+  const [size, edge] = [canvas.width, 64];
+  const curves = parts.map(([one, k, { rows }]) => {
+    const step = one.time[1] - one.time[0] || 1;
+    const count = one.speed_rpm ? Math.ceil((ORBIT_TURNS * 60) / Math.abs(one.speed_rpm) / step) + 1 : Math.ceil(one.time.length / 5);
+    return { k, xy: rows.map((row) => row.slice(-Math.max(count, 2))) };
+  });
+  const finite = (values) => values.filter((value) => value !== null);
+  const all = [0, 1].map((axis) => finite(curves.flatMap((one) => one.xy[axis])));
+  const ends = all.map((values) => [values.reduce((a, b) => Math.min(a, b), Infinity), values.reduce((a, b) => Math.max(a, b), -Infinity)]);
+  const reach = Math.max(...ends.map(([low, high]) => high - low)) || 1;
+  const middle = ends.map(([low, high]) => (low + high) / 2);
+  const scale = (size - 2 * edge) / (1.08 * reach);
+  const at = (x, y) => [size / 2 + 14 + (x - middle[0]) * scale, size / 2 - 14 - (y - middle[1]) * scale];
+  pen.clearRect(0, 0, size, size);
+  pen.font = "20px sans-serif";
+  pen.fillStyle = "#222";
+  pen.strokeStyle = "#ccc";
+  pen.lineWidth = 1;
+  const step = 10 ** Math.floor(Math.log10(reach)) * ([5, 2, 1].find((f) => reach / (10 ** Math.floor(Math.log10(reach)) * f) >= 2) ?? 0.5);
+  for (const axis of [0, 1]) {
+    for (let v = Math.ceil((middle[axis] - reach / 2) / step) * step; v <= middle[axis] + reach / 2 + 1e-9 * step; v += step) {
+      const [x, y] = axis ? at(middle[0], v) : at(v, middle[1]);
+      pen.beginPath();
+      axis ? (pen.moveTo(edge, y), pen.lineTo(size - 12, y)) : (pen.moveTo(x, 12), pen.lineTo(x, size - edge));
+      pen.stroke();
+      pen.textAlign = axis ? "right" : "center";
+      pen.fillText(String(Number(v.toPrecision(4))), axis ? edge - 6 : x, axis ? y + 7 : size - edge + 24);
+    }
+  }
+  for (const { k, xy } of curves) {
+    pen.strokeStyle = COLOURS[k % COLOURS.length];
+    pen.setLineDash(DASHES[k % DASHES.length].map((one) => 2 * one));
+    pen.lineWidth = 2;
+    pen.beginPath();
+    xy[0].forEach((x, j) => x !== null && xy[1][j] !== null && pen.lineTo(...at(x, xy[1][j])));
+    pen.stroke();
+    const last = at(xy[0].at(-1) ?? 0, xy[1].at(-1) ?? 0);
+    pen.setLineDash([]);
+    pen.fillStyle = COLOURS[k % COLOURS.length];
+    pen.beginPath();
+    pen.arc(...last, 6, 0, 7);
+    pen.fill();
+  }
+  const unit = parts[0][2].signal.unit;
+  pen.fillStyle = "#222";
+  pen.textAlign = "center";
+  pen.fillText(`x [${unit}]`, size / 2, size - 8);
+  pen.save();
+  pen.translate(18, size / 2);
+  pen.rotate(-Math.PI / 2);
+  pen.fillText(`y [${unit}]`, 0, 0);
+  pen.restore();
+}
+
+function Figure() {
+  const { figure, table } = app;
+  if (!figure && !table) return null;
+  const close = () => {
+    if (figure) URL.revokeObjectURL(figure.url);
+    set({ figure: null, table: null });
+  };
+  return html`<div class="figure"><p class="actions"><b>${figure?.title ?? table?.title}</b>
+      ${figure ? html`<a href=${figure.url} download=${figure.file}>Save as SVG</a>` : null}<button class="small" onClick=${close}>Close</button></p>
+    ${figure ? html`<img data-testid="figure" src=${figure.url} alt=${figure.title} />` : null}
+    ${table ? html`<table><thead><tr>${table.columns.map((one) => html`<th>${one}</th>`)}</tr></thead>
+      <tbody>${table.rows.map((row) => html`<tr>${row.map((one) => html`<td>${one}</td>`)}</tr>`)}</tbody></table>` : null}
+  </div>`;
+}
+
+export function Results() {
+  const runs = app.runs.map((one, k) => [one, k]).filter(([one]) => one.shown);
+  const signals = new Map(runs.flatMap(([one]) => one.signals.map((signal) => [signal.name, signal])));
+  return html`<${Kept} /><${Figure} />
+    ${[...signals.values()].map((signal) => html`<div class="signal" key=${signal.name}>
+      <${Chart} name=${signal.name} runs=${runs} />
+      ${signal.two_axis ? html`<${Orbit} name=${signal.name} runs=${runs} />` : null}</div>`)}`;
+}

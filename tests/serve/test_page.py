@@ -1,0 +1,285 @@
+"""The page in a browser: view, edit, run, conflicts, mistakes made by hand, keyboard only; nothing from elsewhere."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.serve.session import Session
+from rotorsim.serve.store import DiagramFile
+from tests.serve.serving import TOKEN, Served, served
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+try:
+    from playwright.sync_api import Browser, Page, expect, sync_playwright
+except ImportError:
+    sync_playwright = None  # type: ignore[assignment]
+if "CI" not in os.environ:  # there both are installed, and a test that does not run is a failure
+    if sync_playwright is None:
+        pytest.skip("needs the package playwright", allow_module_level=True)
+    if CHROMIUM is None:
+        pytest.skip("needs the browser chromium", allow_module_level=True)
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Return a browser for all tests of this file."""
+    assert CHROMIUM is not None, "no chromium on this machine"
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+Open = Callable[..., Page]
+
+
+@pytest.fixture
+def at(mine: Path) -> Iterator[Served]:
+    with served(Session(mine.parent, DiagramFile(mine))) as found:
+        yield found
+
+
+@pytest.fixture
+def open_page(browser: Browser) -> Iterator[Open]:
+    """Return a function that opens the page; what it asks of other hosts, or says of mistakes, fails the test."""
+    foreign: list[str] = []
+    wrong: list[str] = []
+    contexts = []
+
+    def opened(at: Served, width: int = 1280, height: int = 800) -> Page:
+        context = browser.new_context(viewport={"width": width, "height": height})
+        contexts.append(context)
+
+        def only_here(route: Any) -> None:
+            if urlsplit(route.request.url).netloc == at.host:
+                route.continue_()
+            else:
+                foreign.append(route.request.url)
+                route.abort()
+
+        context.route(re.compile("^(?!blob:|data:)"), only_here)
+        page = context.new_page()
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+        page.goto(f"http://{at.host}/#{TOKEN}")
+        if at.session.file is not None:
+            expect(by(page, "block-rotor")).to_be_visible()
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert foreign == []
+    assert wrong == []
+
+
+def by(page: Page, name: str) -> Any:
+    return page.get_by_test_id(name)
+
+
+def document_of(path: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(path.read_text())
+    return found
+
+
+def drag(page: Page, start: Any, to: tuple[float, float]) -> None:
+    """Drag the middle of an element by so many pixels."""
+    box = start.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for k in range(1, 9):
+        page.mouse.move(x + to[0] * k / 8, y + to[1] * k / 8)
+    page.mouse.up()
+
+
+def changed(path: Path, what: Callable[[dict[str, Any]], bool]) -> None:
+    """Wait until a file says something."""
+    for _ in range(100):
+        try:
+            if what(document_of(path)):
+                return
+        except ValueError:
+            pass
+        time.sleep(0.05)
+    raise AssertionError(path.read_text())
+
+
+def test_the_diagram_is_shown_and_the_token_leaves_the_address(at: Served, open_page: Open) -> None:
+    page = open_page(at)
+    for block in ("clock", "crack", "unbalance", "rotor", "controller", "amb", "reference", "bus"):
+        expect(by(page, f"block-{block}")).to_be_visible()
+    assert TOKEN not in page.url
+    page.reload()
+    expect(by(page, "block-rotor")).to_be_visible()
+    by(page, "block-rotor").click()
+    expect(by(page, "param-rotor.mass")).to_have_value("2 kg")
+
+
+def test_without_a_token_nothing_is_shown(at: Served, browser: Browser) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(f"http://{at.host}/")
+    expect(page.get_by_text("rotorsim serve")).to_be_visible()
+    assert by(page, "block-rotor").count() == 0
+    context.close()
+
+
+def test_a_block_is_dragged_to_another_cell(at: Served, open_page: Open, mine: Path) -> None:
+    page = open_page(at)
+    start, goal = by(page, "block-bus").bounding_box(), by(page, "block-crack").bounding_box()
+    drag(page, by(page, "block-bus"), (0.0, goal["y"] - start["y"]))
+    changed(mine, lambda document: document["layout"]["bus"] != [4, 2])
+    assert document_of(mine)["layout"]["bus"][1] < 1
+    assert mine.read_text() == format_document(document_of(mine))
+
+
+def test_a_wire_is_cut_and_drawn_from_port_to_port(at: Served, open_page: Open, mine: Path) -> None:
+    page = open_page(at)
+    by(page, "wire-rotor.displacement-amb.displacement").dispatch_event("click")
+    page.keyboard.press("Delete")
+    changed(mine, lambda document: ["rotor.displacement", "amb.displacement"] not in document["wires"])
+    expect(by(page, "problem").first).to_contain_text("input is not wired")
+    source = by(page, "port-rotor.displacement-out").locator(".dot").bounding_box()
+    target = by(page, "port-amb.displacement-in").locator(".dot").bounding_box()
+    page.mouse.move(source["x"] + source["width"] / 2, source["y"] + source["height"] / 2)
+    page.mouse.down()
+    page.mouse.move(target["x"] - 40, target["y"] + 20)
+    page.wait_for_timeout(300)  # which ports fit is asked
+    page.mouse.move(target["x"] + target["width"] / 2, target["y"] + target["height"] / 2, steps=5)
+    page.mouse.up()
+    changed(mine, lambda document: ["rotor.displacement", "amb.displacement"] in document["wires"])
+
+
+def test_a_value_is_set_undone_and_done_again(at: Served, open_page: Open, mine: Path) -> None:
+    page = open_page(at)
+    by(page, "block-rotor").click()
+    field = by(page, "param-rotor.mass")
+    field.fill("3 kgg")
+    expect(by(page, "param-error")).to_contain_text("unknown unit 'kgg'")
+    field.fill("3 kg")
+    field.press("Enter")
+    changed(mine, lambda document: document["blocks"]["rotor"]["parameters"]["mass"] == "3 kg")
+    by(page, "undo").click()
+    changed(mine, lambda document: document["blocks"]["rotor"]["parameters"]["mass"] == "2 kg")
+    by(page, "redo").click()
+    changed(mine, lambda document: document["blocks"]["rotor"]["parameters"]["mass"] == "3 kg")
+
+
+def test_a_controller_is_swapped_with_its_values_kept(at: Served, open_page: Open, mine: Path) -> None:
+    page = open_page(at)
+    by(page, "block-controller").click()
+    by(page, "swap").click()
+    page.get_by_role("button", name="discrete_pid", exact=True).click()
+    changed(mine, lambda document: document["blocks"]["controller"]["type"] == "discrete_pid")
+    assert document_of(mine)["blocks"]["controller"]["parameters"]["KP"] == "12200 A/m"
+
+
+def test_a_block_is_added_from_the_palette(at: Served, open_page: Open, mine: Path) -> None:
+    page = open_page(at)
+    page.keyboard.press("a")
+    by(page, "palette").get_by_role("searchbox").fill("low")
+    by(page, "palette").get_by_role("searchbox").fill("gain")
+    by(page, "palette-gain").click()
+    changed(mine, lambda document: document["blocks"].get("gain") == {"type": "gain"})
+    expect(by(page, "block-gain")).to_be_visible()
+
+
+def test_a_run_is_drawn_and_follows_a_slider(at: Served, open_page: Open) -> None:
+    page = open_page(at)
+    by(page, "run").click()
+    expect(by(page, "chart").first).to_be_visible()
+    expect(by(page, "orbit").first).to_be_visible()
+    expect(page.get_by_text("mine, 1500 rpm").first).to_be_visible()
+    slider = by(page, "slider-speed")
+    slider.focus()
+    for _ in range(3):
+        page.keyboard.press("ArrowRight")
+    expect(page.get_by_text(re.compile(r"mine, 1522\.5 rpm")).first).to_be_visible()
+
+
+def test_both_values_of_a_conflict_are_shown(at: Served, open_page: Open, mine: Path) -> None:
+    one, two = open_page(at), open_page(at)
+    for page in (one, two):
+        by(page, "block-rotor").click()
+    expect(by(two, "param-rotor.mass")).to_have_value("2 kg")
+    by(two, "param-rotor.mass").fill("4 kg")
+    by(one, "param-rotor.mass").fill("3 kg")
+    by(one, "param-rotor.mass").press("Enter")
+    changed(mine, lambda document: document["blocks"]["rotor"]["parameters"]["mass"] == "3 kg")
+    by(two, "param-rotor.mass").press("Enter")
+    expect(by(two, "conflict")).to_contain_text("3 kg")
+    expect(by(two, "conflict")).to_contain_text("4 kg")
+    assert document_of(mine)["blocks"]["rotor"]["parameters"]["mass"] == "3 kg"
+    by(two, "conflict-mine").first.click()
+    changed(mine, lambda document: document["blocks"]["rotor"]["parameters"]["mass"] == "4 kg")
+
+
+def test_a_hand_edit_appears_and_one_with_mistakes_is_said(at: Served, open_page: Open, mine: Path) -> None:
+    page = open_page(at)
+    expect(by(page, "block-rotor")).to_be_visible()
+    good = mine.read_text()
+    mine.write_text(good.replace('"rotor_2dof"', '"rotor_2dofs"'))
+    expect(by(page, "banner")).to_contain_text("unknown block type 'rotor_2dofs'")
+    expect(by(page, "block-rotor")).to_be_visible()  # the last good picture
+    mine.write_text(good.replace('"2 kg"', '"2.5 kg"'))
+    expect(by(page, "banner")).to_have_count(0)
+    by(page, "block-rotor").click()
+    expect(by(page, "param-rotor.mass")).to_have_value("2.5 kg")
+
+
+def test_names_with_markup_are_shown_as_text(at: Served, open_page: Open, mine: Path) -> None:
+    name = "<img src=x onerror=alert(1)>"
+    mine.write_text(json.dumps(document_of(mine) | {"name": name, "description": f"<b>{name}</b>"}))
+    page = open_page(at)
+    expect(page.get_by_text(name).first).to_be_visible()
+    assert page.locator("img[src=x]").count() == 0
+
+
+def test_everything_is_done_by_the_keyboard(at: Served, open_page: Open, mine: Path) -> None:
+    page = open_page(at)
+    expect(by(page, "block-rotor")).to_be_visible()
+    by(page, "block-amb").focus()
+    page.keyboard.press("Alt+ArrowRight")
+    changed(mine, lambda document: document["layout"]["amb"][0] > 4)
+    page.keyboard.press("Control+z")
+    changed(mine, lambda document: document["layout"]["amb"] == [4, 1])
+    by(page, "block-bus").focus()
+    page.keyboard.press("Delete")
+    changed(mine, lambda document: "bus" not in document["blocks"])
+    page.keyboard.press("Control+z")
+    changed(mine, lambda document: "bus" in document["blocks"])
+    page.keyboard.press("p")
+    expect(by(page, "chart").first).to_be_visible()
+
+
+def test_read_only_has_nothing_to_edit_with(mine: Path, open_page: Open) -> None:
+    with served(Session(mine.parent, DiagramFile(mine, read_only=True), read_only=True)) as at:
+        page = open_page(at)
+        by(page, "block-rotor").click()
+        assert by(page, "remove").count() == 0
+        assert by(page, "undo").count() == 0
+        page.keyboard.press("Delete")
+        page.wait_for_timeout(200)
+        assert "rotor" in document_of(mine)["blocks"]
+
+
+def test_the_gallery_gives_a_copy(tmp_path: Path, open_page: Open) -> None:
+    with served(Session(tmp_path)) as at:
+        page = open_page(at)
+        by(page, "gallery-jeffcott").click()
+        expect(by(page, "block-rotor")).to_be_visible()
+        assert (tmp_path / "jeffcott.json").exists()
