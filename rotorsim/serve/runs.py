@@ -49,6 +49,7 @@ class Runs:
     ) -> Data:
         """Simulate a diagram and return its recorded signals for the page, in the units that they are shown in.
 
+        time (n,) [s]; values: a row (n,) of 32 bit for each entry, NaN for what cannot be drawn.
         key: what the diagram is known by (the hash of its file); source: loads it when it is not. settings: diagram
         parameters, texts with units. Raises RotorsimError as `simulate`, and when it is stopped.
         """
@@ -124,7 +125,7 @@ def _result_data(result: Result) -> Data:
     angle = [name for name in result.signals if name.endswith((".theta", ".speed"))]
     names = [name for name in result.signals if name not in angle] or list(result.signals)
     step = max(-(-len(result.time) // MOST_SAMPLES_SENT), 1)
-    rows: list[list[float | None]] = []
+    rows: list[np.ndarray] = []
     signals = []
     for name in names:
         values, unit = display(result[name][::step], result.unit(name))
@@ -133,27 +134,24 @@ def _result_data(result: Result) -> Data:
             two_axis = own.shape[1:] == (2,)
             labels = ["x", "y"] if two_axis else [flat_name(name, place) for place in np.ndindex(own.shape[1:])]
             signals.append({"name": flat_name(name, part), "unit": unit, "entries": labels, "two_axis": two_axis})
-            rows += [_numbers(column) for column in own.reshape(len(own), -1).T]
+            rows += [_drawn(column) for column in own.reshape(len(own), -1).T]
     return {
         "title": _title(result),
         "status": result.status,
         "message": result.message,
         "signals": signals,
-        "time": _numbers(result.time[::step]),
+        "time": np.asarray(result.time[::step], "<f8"),
         "values": rows,
         "thinned": step > 1,
         "speed_rpm": _speed(result),
     }
 
 
-def _numbers(values: np.ndarray) -> list[float | None]:
-    """Return numbers with seven digits, None for what is none."""
+def _drawn(values: np.ndarray) -> np.ndarray:
+    """Return values of 32 bit, seven digits, as many as a screen shows; NaN for what is none."""
     with np.errstate(over="ignore"):  # a run that diverges: beyond 3e38 nothing can be drawn
-        rounded = np.asarray(values, np.float32).astype(float)
-    listed: list[float | None] = rounded.tolist()
-    if not np.isfinite(rounded).all():
-        listed = [value if ok else None for value, ok in zip(listed, np.isfinite(rounded).tolist(), strict=True)]
-    return listed
+        single = np.asarray(values, "<f4")
+    return np.where(np.isfinite(single), single, np.float32(np.nan))
 
 
 def _speed(result: Result) -> float | None:

@@ -6,6 +6,7 @@ import asyncio
 import json
 import math
 import signal
+import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
@@ -13,7 +14,6 @@ from threading import Event
 from typing import Any
 
 from tornado.httpserver import HTTPServer
-from tornado.netutil import bind_sockets
 from tornado.web import Application, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
@@ -64,7 +64,7 @@ class Pages:
         if text != self._shown:
             self._shown = text
             for page in list(self.open):
-                page.send_text(text)
+                page.send_message(text)
 
     def look(self) -> None:
         """Look whether the file was changed by hand, and tell the pages."""
@@ -81,7 +81,20 @@ class Pages:
 
 
 def _text(data: Any) -> str:
-    return json.dumps(_finite(data) if isinstance(data, dict) and "values" not in data else data, ensure_ascii=False)
+    return json.dumps(_finite(data), ensure_ascii=False)
+
+
+def _message(data: dict[str, Any]) -> str | bytes:
+    """Return a message: as JSON, or with the numbers of a run behind it, which take a tenth of the time so.
+
+    Then: length of the JSON (4 bytes, little-endian), JSON with spaces up to a multiple of 8, time (64 bit), rows.
+    """
+    if "values" not in data:
+        return _text(data)
+    time, rows = data["time"], data["values"]
+    head = _text({**data, "time": len(time), "values": len(rows)}).encode()
+    head += b" " * (-(len(head) + 4) % 8)
+    return b"".join([len(head).to_bytes(4, "little"), head, time.tobytes(), *(row.tobytes() for row in rows)])
 
 
 def _finite(value: Any) -> Any:
@@ -227,17 +240,17 @@ class _Live(WebSocketHandler):
         def progress(share: float) -> None:
             loop.call_soon_threadsafe(self.send, {"kind": "progress", "id": number, "share": share})
 
-        def made() -> str:
+        def made() -> str | bytes:
             try:
                 found = self.pages.session.work(data, stopped, _seldom(progress))
             except RotorsimError as error:
                 found = self.pages.session.refused(error)
             except Exception as error:  # the page must not wait for ever
                 found = self.pages.session.refused(_unexpected(error))
-            return _text({**found, "id": number})
+            return _message({**found, "id": number})
 
         try:
-            self.send_text(await loop.run_in_executor(self.pages.worker, made))
+            self.send_message(await loop.run_in_executor(self.pages.worker, made))
         finally:
             self.running.pop(number, None)
 
@@ -252,12 +265,12 @@ class _Live(WebSocketHandler):
 
     def send(self, data: Any) -> None:
         """Send data to the page, if it is still there."""
-        self.send_text(_text(data))
+        self.send_message(_text(data))
 
-    def send_text(self, text: str) -> None:
-        """Send a text to the page, if it is still there."""
+    def send_message(self, message: str | bytes) -> None:
+        """Send a message to the page, if it is still there."""
         try:
-            self.write_message(text)
+            self.write_message(message, binary=isinstance(message, bytes))
         except WebSocketClosedError:
             self.on_close()
 
@@ -285,12 +298,13 @@ async def serve(session: Session, token: str, port: int, ready: Callable[[int], 
     app = application(session, token)
     pages: Pages = app.settings["pages"]
     server = HTTPServer(app, max_buffer_size=LARGEST_MESSAGE)
-    sockets = bind_sockets(port, "127.0.0.1")
-    server.add_sockets(sockets)
+    listening = socket.create_server(("127.0.0.1", port))
+    listening.setblocking(False)
+    server.add_socket(listening)
     done, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, done.set)
-    ready(sockets[0].getsockname()[1])
+    ready(listening.getsockname()[1])
 
     async def watch() -> None:
         while not done.is_set():

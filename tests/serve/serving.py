@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from http.client import HTTPConnection, HTTPResponse
 from typing import Any
 
+import numpy as np
 from tornado.httpclient import HTTPRequest
 from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
@@ -81,6 +82,16 @@ def served(session: Session) -> Iterator[Served]:
         assert not thread.is_alive()
 
 
+def unpacked(message: bytes) -> Any:
+    """Return a message with numbers: length of the JSON, JSON, time (64 bit), rows (32 bit)."""
+    length = int.from_bytes(message[:4], "little")
+    data = json.loads(message[4 : 4 + length])
+    n, count, first = data["time"], data["values"], 4 + length
+    data["time"] = np.frombuffer(message, "<f8", n, first)
+    data["values"] = np.frombuffer(message, "<f4", n * count, first + 8 * n).reshape(count, n)
+    return data
+
+
 class Page:
     """A page that is open."""
 
@@ -90,7 +101,7 @@ class Page:
     async def next(self) -> Any:
         """Return the next message; None when the connection is closed."""
         text = await asyncio.wait_for(self.connection.read_message(), 30)
-        return None if text is None else json.loads(text)
+        return None if text is None else json.loads(text) if isinstance(text, str) else unpacked(text)
 
     async def ask(self, **message: Any) -> Any:
         """Return the answer to a message; states that come before it are kept."""

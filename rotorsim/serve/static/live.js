@@ -26,6 +26,16 @@ export async function post(path, data) {
   return answer.json();
 }
 
+// A message with numbers: length of the JSON, JSON, time (64 bit), and rows (32 bit).
+function unpacked(bytes) {
+  const length = new DataView(bytes).getUint32(0, true);
+  const data = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, length)));
+  const [n, first] = [data.time, 4 + length];
+  data.time = new Float64Array(bytes, first, n);
+  data.values = Array.from({ length: data.values }, (_, k) => new Float32Array(bytes, first + 8 * n + 4 * n * k, n));
+  return data;
+}
+
 export class Live {
   constructor(told, lost) {
     this.told = told;
@@ -38,8 +48,9 @@ export class Live {
   connect() {
     const socket = new WebSocket(`ws://${location.host}/api/live`);
     this.socket = socket;
+    socket.binaryType = "arraybuffer";
     socket.onopen = () => socket.send(JSON.stringify({ token: token() }));
-    socket.onmessage = (event) => this.receive(JSON.parse(event.data));
+    socket.onmessage = (event) => this.receive(typeof event.data === "string" ? JSON.parse(event.data) : unpacked(event.data));
     socket.onclose = (event) => {
       for (const { answer } of this.waiting.values()) answer({ kind: "lost" });
       this.waiting.clear();

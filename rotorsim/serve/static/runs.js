@@ -140,7 +140,8 @@ function Chart({ name, runs }) {
     const parts = runs.map(([one, k]) => [one, k, rowsOf(one, name)]).filter((part) => part[2]);
     const unit = parts[0][2].signal.unit;
     const alike = parts.every(([one]) => one.time.length === parts[0][0].time.length && one.time.at(-1) === parts[0][0].time.at(-1));
-    const tables = parts.map(([one, , { rows }]) => [one.time, ...rows.slice(0, most.entries)]);
+    const gaps = (row) => (row.every(Number.isFinite) ? row : Array.from(row, (value) => (Number.isFinite(value) ? value : null)));
+    const tables = parts.map(([one, , { rows }]) => [one.time, ...rows.slice(0, most.entries).map(gaps)]);
     const data = alike ? [tables[0][0], ...tables.flatMap((table) => table.slice(1))] : uPlot.join(tables);
     const series = parts.flatMap(([one, k, { signal }]) =>
       signal.entries.slice(0, most.entries).map((entry, j) => ({
@@ -185,9 +186,9 @@ function drawOrbit(canvas, parts) {
   const curves = parts.map(([one, k, { rows }]) => {
     const step = one.time[1] - one.time[0] || 1;
     const count = one.speed_rpm ? Math.ceil((ORBIT_TURNS * 60) / Math.abs(one.speed_rpm) / step) + 1 : Math.ceil(one.time.length / 5);
-    return { k, xy: rows.map((row) => row.slice(-Math.max(count, 2))) };
+    return { k, xy: rows.map((row) => Array.from(row.slice(-Math.max(count, 2)))) };
   });
-  const finite = (values) => values.filter((value) => value !== null);
+  const finite = (values) => values.filter(Number.isFinite);
   const all = [0, 1].map((axis) => finite(curves.flatMap((one) => one.xy[axis])));
   const ends = all.map((values) => [values.reduce((a, b) => Math.min(a, b), Infinity), values.reduce((a, b) => Math.max(a, b), -Infinity)]);
   const reach = Math.max(...ends.map(([low, high]) => high - low)) || 1;
@@ -215,7 +216,7 @@ function drawOrbit(canvas, parts) {
     pen.setLineDash(DASHES[k % DASHES.length].map((one) => 2 * one));
     pen.lineWidth = 2;
     pen.beginPath();
-    xy[0].forEach((x, j) => x !== null && xy[1][j] !== null && pen.lineTo(...at(x, xy[1][j])));
+    xy[0].forEach((x, j) => Number.isFinite(x + xy[1][j]) && pen.lineTo(...at(x, xy[1][j])));
     pen.stroke();
     const last = at(xy[0].at(-1) ?? 0, xy[1].at(-1) ?? 0);
     pen.setLineDash([]);
