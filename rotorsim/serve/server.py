@@ -234,6 +234,7 @@ class _Live(WebSocketHandler):
             self.pages.tell_all()
 
     async def _work(self, data: dict[str, Any]) -> None:
+        self.pages.look()  # what runs is what stands in the file now
         number, loop, stopped = data.get("id"), asyncio.get_running_loop(), Event()
         self.running[number] = stopped
 

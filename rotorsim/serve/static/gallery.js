@@ -3,6 +3,9 @@
 import { html, useEffect, useState } from "./vendor/htm-preact-3.1.1.module.js";
 import { get, post } from "./live.js";
 
+// The first sentence; the whole text is shown at the pointer.
+const first = (text) => (text.length > 150 ? text.split(/[.;:] /)[0].slice(0, 220) + " ..." : text);
+
 export function Gallery() {
   const [diagrams, show] = useState([]);
   const [said, say] = useState("");
@@ -16,7 +19,7 @@ export function Gallery() {
   return html`<main class="gallery"><h1>Diagrams that come with rotorsim</h1>
     <p role="alert">${said}</p>
     <ul>${diagrams.map(
-      (one) => html`<li key=${one.name}><h2>${one.name}</h2><p>${one.description}</p>
+      (one) => html`<li key=${one.name}><h2>${one.name}</h2><p title=${one.description}>${first(one.description)}</p>
         <button data-testid=${`gallery-${one.name}`} onClick=${() => copy(one.name)}>Copy to my folder</button></li>`,
     )}</ul></main>`;
 }

@@ -54,7 +54,7 @@ export function Field({ name, label, item, more }) {
       }} />
     <span class="unit">${item.unit === "1" || item.unit === "any" || /[a-z%]/i.test(typed ?? shown) ? "" : item.unit}</span>
     ${item.written !== null && item.required === false && !readOnly()
-      ? html`<button class="small" title=${`Back to the default${item.default_text ? `, ${item.default_text}` : ""}`} onClick=${() => edit([{ op: "set", name, value: null }])}>default</button>`
+      ? html`<button class="small" title="Back to the default" aria-label=${`${name}: back to the default`} onClick=${() => edit([{ op: "set", name, value: null }])}>↺</button>`
       : null}
     ${more}
     ${wrong ? html`<p class="wrong" id=${`${id}-wrong`} data-testid="param-error">${wrong.problem}${wrong.hint && ` (${wrong.hint})`}</p>` : null}

@@ -40,12 +40,29 @@ const parameter = (name) => app.state.view?.parameters.some((one) => one.name ==
 
 function keep(found, slid, settings) {
   const number = slid && app.runs[app.runs.length - 1]?.slid ? app.count : ++app.count;
-  const changed = Object.entries(settings).map(([name, value]) => `${name} = ${value}`);
-  const title = [found.title, ...changed.filter((text) => !text.startsWith("speed ="))].join(", ");
-  const one = { ...found, number, slid, title, shown: true };
   const others = slid ? app.runs.filter((each) => !each.slid) : app.runs;
+  const values = { ...valuesOf(app.state.view), ...settings };
+  const title = `${number}: ${[found.title, ...differing(values, others[0]?.values)].join(", ")}`;
+  const one = { ...found, number, slid, title, values, rows: found.values, shown: true };
   const bad = found.status === "finished" ? "" : `${found.status}: `;
   set({ runs: [...others, one].slice(-most.runs), said: `${title}: ${bad}${found.message || "finished"}` });
+}
+
+// Every value of the diagram, to say in what two runs differ.
+function valuesOf(view) {
+  const of = view.blocks.flatMap((one) => [
+    [one.name, one.kind],
+    ...[...one.parameters, ...one.options].filter((item) => !item.follows).map((item) => [`${one.name}.${item.name}`, item.value]),
+  ]);
+  return Object.fromEntries([...of, ...view.parameters.map((item) => [item.name, item.value])]);
+}
+
+// In what a run differs from the first one, but for the speed, which its title says.
+function differing(values, first) {
+  if (!first) return [];
+  const names = [...new Set([...Object.keys(first), ...Object.keys(values)])].filter((name) => first[name] !== values[name] && name !== "speed");
+  const words = names.slice(0, 2).map((name) => (name in values ? `${name} = ${values[name]}` : `without ${name}`));
+  return names.length > 2 ? [...words, `${names.length - 2} more`] : words;
 }
 
 async function analyse(what) {
@@ -128,7 +145,7 @@ function Kept() {
 function rowsOf(one, name) {
   let first = 0;
   for (const signal of one.signals) {
-    if (signal.name === name) return { signal, rows: one.values.slice(first, first + signal.entries.length) };
+    if (signal.name === name) return { signal, rows: one.rows.slice(first, first + signal.entries.length) };
     first += signal.entries.length;
   }
   return null;
