@@ -43,7 +43,7 @@ def test_a_room_may_import_the_layer_below_it() -> None:
     for above, below in pairwise(layers):
         for name in above:
             assert all(f"`{room}`" in stated()[name] for room in below), name
-    assert "report" in stated()["cli"]
+    assert "serve" in stated()["cli"]
     assert stated()["errors"] == "no other room"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from benchmarks.flows import diagnosis_flow, engine_flow
+from benchmarks.page import SHOTS
 from benchmarks.pictures import DRAWN, MEASURED, PICTURES, main
 from tests.docs.pages import ROOT, page_text
 
@@ -14,7 +15,7 @@ LARGEST = 100_000  # bytes
 
 def test_every_picture_is_drawn_by_the_command_and_shown() -> None:
     files = {file.name: file for file in IMAGES.iterdir() if file.is_file()}
-    assert set(files) == {*DRAWN, *PICTURES, *MEASURED}
+    assert set(files) == {*DRAWN, *PICTURES, *MEASURED, *SHOTS}
     assert [name for name, file in files.items() if file.stat().st_size > LARGEST] == []
     pages = ["README.md", *(f"docs/{file.name}" for file in (ROOT / "docs").glob("*.md"))]
     shown = {name for page in pages for name in re.findall(r"!\[[^]]+\]\((?:docs/)?images/([\w.]+)\)", page_text(page))}
