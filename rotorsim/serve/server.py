@@ -18,7 +18,7 @@ from tornado.web import Application, StaticFileHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.serve.guard import Guarded, foreign, is_token
+from rotorsim.serve.guard import REPORT_HEADERS, Guarded, foreign, is_token
 from rotorsim.serve.session import Session
 
 LOOKED_AT = 0.25  # s, between looks at the file
@@ -36,7 +36,9 @@ def application(session: Session, token: str) -> Application:
             (r"/()", _Static, {"path": static, "default_filename": "index.html"}),
             (r"/static/(.*)", _Static, {"path": static}),
             (r"/api/live", _Live, {"pages": pages}),
-            (r"/api/(palette|gallery)", _Lists, {"session": session}),
+            (r"/api/(palette|gallery|recordings)", _Lists, {"session": session}),
+            (r"/api/outcome/([0-9]{1,9})/([A-Za-z0-9_.-]{1,80})", _OutcomeFile, {"session": session}),
+            (r"/report/([0-9]{1,9})/([A-Za-z0-9_-]{1,80})", _Report, {"session": session}),
             (r"/api/copy", _Copy, {"pages": pages}),
             (r"/api/figure/([0-9]{1,9})/([a-z]{1,20})", _Figure, {"pages": pages}),
         ],
@@ -76,6 +78,7 @@ class Pages:
         for page in list(self.open):
             page.stop_all()
             page.close(1001)
+        self.session.outcomes.close()
         self.worker.shutdown(wait=False, cancel_futures=True)
         self.drawer.shutdown(wait=False, cancel_futures=True)
 
@@ -133,13 +136,50 @@ class _Api(Guarded):
 
 
 class _Lists(_Api):
-    """Types of blocks, and shipped diagrams."""
+    """Types of blocks, shipped diagrams, and recordings: methods of the session."""
 
     def initialize(self, session: Session) -> None:
         self.session = session
 
     def get(self, what: str) -> None:
-        self.answer(self.session.palette() if what == "palette" else self.session.gallery())
+        made: Callable[[], Any] = getattr(self.session, what)
+        self.answer(made())
+
+
+class _OutcomeFile(_Api):
+    """Figures that a verb has drawn."""
+
+    def initialize(self, session: Session) -> None:
+        self.session = session
+
+    def get(self, number: str, name: str) -> None:
+        found = self.session.outcomes.kept.get(int(number))
+        try:
+            if found is None or name.endswith(".html"):
+                raise RotorsimError(Problem("there is no such file", name))
+            file = found.file(name)
+        except RotorsimError as error:
+            self.set_status(404)
+            self.answer(self.session.refused(error))
+            return
+        self.set_header("Content-Type", "image/svg+xml" if file.suffix == ".svg" else "image/png")
+        self.finish(file.read_bytes())
+
+
+class _Report(Guarded):
+    """A report in a frame of the page: a key of its own opens it, since a frame sends no token; it may run nothing."""
+
+    def initialize(self, session: Session) -> None:
+        self.session = session
+
+    def get(self, number: str, key: str) -> None:
+        found = self.session.outcomes.kept.get(int(number))
+        if found is None or not is_token(key, found.key):
+            self.refuse("this report has another key")
+            return
+        for name, value in REPORT_HEADERS.items():
+            self.set_header(name, value)
+        self.finish(found.file("report.html").read_bytes())
 
 
 class _Copy(_Api):
@@ -184,7 +224,7 @@ class _Live(WebSocketHandler):
     def initialize(self, pages: Pages) -> None:
         self.pages = pages
         self.known = False
-        self.running: dict[Any, Event] = {}
+        self.running: dict[Any, Callable[[], object]] = {}  # what stops it
         self.tasks: set[asyncio.Task[None]] = set()
 
     def check_origin(self, origin: str) -> bool:
@@ -219,10 +259,13 @@ class _Live(WebSocketHandler):
 
     def _answer(self, data: dict[str, Any]) -> None:
         if data.get("kind") == "cancel":
-            if event := self.running.get(data.get("id")):
-                event.set()
-        elif data.get("kind") in ("run", "analyse"):
-            task = asyncio.ensure_future(self._work(data))  # the next message may be to stop it
+            if stop := self.running.get(data.get("id")):
+                stop()
+        elif data.get("kind") in ("run", "analyse", "find"):
+            work = self._find(data) if data.get("kind") == "find" else self._work(data)
+            task = asyncio.ensure_future(work)  # the next message may be to stop it
+            if data.get("kind") == "find":
+                self.running[data.get("id")] = task.cancel
             self.tasks.add(task)
             task.add_done_callback(self.tasks.discard)
         else:
@@ -236,7 +279,7 @@ class _Live(WebSocketHandler):
     async def _work(self, data: dict[str, Any]) -> None:
         self.pages.look()  # what runs is what stands in the file now
         number, loop, stopped = data.get("id"), asyncio.get_running_loop(), Event()
-        self.running[number] = stopped
+        self.running[number] = stopped.set
 
         def progress(share: float) -> None:
             loop.call_soon_threadsafe(self.send, {"kind": "progress", "id": number, "share": share})
@@ -255,10 +298,27 @@ class _Live(WebSocketHandler):
         finally:
             self.running.pop(number, None)
 
+    async def _find(self, data: dict[str, Any]) -> None:
+        number = data.get("id")
+
+        def progress(share: float, text: str) -> None:
+            self.send({"kind": "progress", "id": number, "share": share, "text": text})
+
+        try:
+            found = await self.pages.session.find(data, progress)
+        except RotorsimError as error:
+            found = self.pages.session.refused(error)
+        except asyncio.CancelledError:
+            found = self.pages.session.refused(RotorsimError(Problem("stopped", str(data.get("verb")))))
+        except Exception as error:  # the page must not wait for ever
+            found = self.pages.session.refused(_unexpected(error))
+        self.running.pop(number, None)
+        self.send({**found, "id": number})
+
     def stop_all(self) -> None:
         """Stop what this page has asked for."""
-        for event in self.running.values():
-            event.set()
+        for stop in list(self.running.values()):
+            stop()
 
     def on_close(self) -> None:
         self.pages.open.discard(self)

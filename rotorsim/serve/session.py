@@ -20,6 +20,7 @@ from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.files import write_atomically
 from rotorsim.model.load import load
 from rotorsim.serve.changes import ConflictError
+from rotorsim.serve.outcomes import Outcomes, recordings_below
 from rotorsim.serve.runs import Runs
 from rotorsim.serve.store import DiagramFile, data_of
 from rotorsim.serve.view import palette_of, problem_of_block, shape_text, view_of
@@ -37,6 +38,7 @@ class Session:
     trusted: bool = False
     read_only: bool = False
     runs: Runs = field(default_factory=Runs)
+    outcomes: Outcomes = field(default_factory=Outcomes)
 
     def state(self) -> Data:
         """Return what every page shows."""
@@ -66,6 +68,10 @@ class Session:
             data = read_document(path).data
             found.append({"name": name, "description": str(data.get("description", ""))})
         return {"diagrams": found, "open": None if self.file is None else self.file.path.name}
+
+    def recordings(self) -> Data:
+        """Return the recordings below the folder of the diagram."""
+        return {"recordings": [] if self.file is None else recordings_below(self.file.path.parent)}
 
     def copy(self, name: object) -> Data:
         """Copy a diagram that comes with rotorsim to the folder, under a name that is not taken, and open it."""
@@ -195,6 +201,16 @@ class Session:
             data = self.runs.run(file.state.sha, source, settings, stopped, progress)
             return {"kind": "result", **data}
         return {"kind": "table", **self.runs.analyse(file.state.sha, source, str(message.get("what")), settings)}
+
+    async def find(self, message: Mapping[str, Any], progress: Callable[[float, str], None]) -> Data:
+        """Return what a verb finds in a recording. Raises RotorsimError."""
+        file = self._open()
+        sha = file.state.sha
+        if not file.state.valid:
+            raise RotorsimError(Problem("the file on disk has mistakes", hint="correct them there"), *_errors(file))
+        verb, recording = str(message.get("verb")), str(message.get("recording"))
+        found = await self.outcomes.find(file.path, verb, recording, self.trusted, progress)
+        return {"kind": "found", "sha": sha, **found}
 
 
 def _errors(file: DiagramFile) -> list[Problem]:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+import shlex
+import subprocess
 from collections.abc import Iterator
+from contextlib import chdir
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from rotorsim import load, simulate
+from rotorsim.cli.app import rotorsim
+from rotorsim.serve.outcomes import Outcome
 from rotorsim.serve.session import Session
 from rotorsim.serve.store import DiagramFile
 from tests.serve.serving import TOKEN, Served, opened, served, talk
@@ -238,3 +244,79 @@ def test_the_palette_has_every_type(at: Served) -> None:
 
     _, body = at.ask("/api/palette", X_Rotorsim_Token=TOKEN)
     assert {one["type"] for one in json.loads(body)["types"]} == set(all_types())
+
+
+def test_recordings_below_the_folder_are_found_and_looked_into(at: Served, mine: Path, tmp_path_factory) -> None:
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    (elsewhere / "recording.json").write_text("{}")
+    (mine.parent / "away").symlink_to(elsewhere)
+    made = (
+        'record mine.json --set "controller.KD=3.3 A s/m" --speeds "900 rpm, 1500 rpm, 2100 rpm" --settle '
+        '--noise "0.5 %" --out runs/bench'
+    )
+    with chdir(mine.parent):
+        assert CliRunner().invoke(rotorsim, shlex.split(made)).exit_code == 0
+    _, body = at.ask("/api/recordings", X_Rotorsim_Token=TOKEN)
+    assert json.loads(body) == {"recordings": ["runs/bench"]}
+
+    async def talking() -> None:
+        page = await opened(at)
+        for recording in ("away", "../x", str(elsewhere)):
+            refused = await page.ask(kind="find", verb="identify", recording=recording)
+            what = f"no recording '{recording}' below the folder of the diagram"
+            assert (refused["kind"], refused["problems"][0]["what"]) == ("refused", what)
+        refused = await page.ask(kind="find", verb="cosim", recording="runs/bench")
+        assert refused["problems"][0]["what"] == "unknown verb 'cosim'"
+        found = await page.ask(kind="find", verb="identify", recording="runs/bench")
+        assert found["kind"] == "found"
+        assert "force_current_factor" in found["text"]
+        assert "parameters.png" in found["figures"]
+        assert any("force_current_factor" in one for one in found["words"])
+        path = f"/api/outcome/{found['outcome']}/parameters.png"
+        assert at.ask(path)[0].status == 403
+        answer, body = at.ask(path, X_Rotorsim_Token=TOKEN)
+        assert (answer.status, body[:4]) == (200, b"\x89PNG")
+        for name in ("diagram.json", "..%2fmine.json", "report.html"):
+            assert at.ask(f"/api/outcome/{found['outcome']}/{name}", X_Rotorsim_Token=TOKEN)[0].status == 404
+        done = await page.edit({"op": "patch", "changes": found["changes"]}, base=found["sha"])
+        assert done["kind"] == "done"
+        assert load(mine).parameters["force_current_factor"] != 42.1
+
+    talk(talking)
+
+
+def test_what_is_looked_for_is_stopped_with_its_processes(at: Served, mine: Path) -> None:
+    made = 'record mine.json --speeds "900 rpm:60 rpm:3000 rpm" --settle --noise "0.5 %" --out bench'
+    with chdir(mine.parent):
+        assert CliRunner().invoke(rotorsim, shlex.split(made)).exit_code == 0
+
+    async def talking() -> None:
+        page = await opened(at)
+        await page.connection.write_message(
+            json.dumps({"id": 5, "kind": "find", "verb": "diagnose", "recording": "bench"})
+        )
+        while (await page.next())["kind"] != "progress":
+            pass
+        await page.connection.write_message(json.dumps({"id": 5, "kind": "cancel"}))
+        while (told := await page.next())["kind"] in ("progress", "state"):
+            pass
+        assert (told["kind"], told["problems"][0]["what"]) == ("refused", "stopped")
+
+    talk(talking)
+    ps = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True)
+    assert str(mine) not in ps.stdout
+
+
+def test_a_report_opens_with_its_own_key_only_and_runs_nothing(at: Served, tmp_path: Path) -> None:
+    folder = tmp_path / "found"
+    folder.mkdir()
+    (folder / "report.html").write_text("<script>alert(1)</script><p>report</p>")
+    outcome = Outcome(folder)
+    at.session.outcomes.kept[1] = outcome
+    for key in ("", outcome.key[:-1], TOKEN):
+        assert at.ask(f"/report/1/{key}", X_Rotorsim_Token=TOKEN)[0].status in (403, 404)
+    assert at.ask(f"/report/1/{outcome.key}", Sec_Fetch_Site="cross-site")[0].status == 403
+    answer, body = at.ask(f"/report/1/{outcome.key}")
+    assert (answer.status, b"report" in body) == (200, True)
+    assert answer.headers["Content-Security-Policy"].startswith("sandbox; default-src 'none'; ")
+    assert answer.headers["X-Frame-Options"] == "SAMEORIGIN"

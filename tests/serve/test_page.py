@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -13,7 +14,9 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from click.testing import CliRunner
 
+from rotorsim.cli.app import rotorsim
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.serve.session import Session
 from rotorsim.serve.store import DiagramFile
@@ -264,6 +267,27 @@ def test_everything_is_done_by_the_keyboard(at: Served, open_page: Open, mine: P
     changed(mine, lambda document: "bus" in document["blocks"])
     page.keyboard.press("p")
     expect(by(page, "chart").first).to_be_visible()
+
+
+def test_a_recording_is_diagnosed_and_the_repair_applied_as_one_step(
+    at: Served, open_page: Open, mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(mine.parent)
+    made = 'record mine.json --set "controller.KD=3.3 A s/m" --speeds "900 rpm:300 rpm:3000 rpm" --settle --out bench'
+    assert CliRunner().invoke(rotorsim, [*shlex.split(made), "--noise", "0.5 %"]).exit_code == 0
+    page = open_page(at)
+    expect(by(page, "recording")).to_have_value("bench")
+    by(page, "diagnose").click()
+    expect(by(page, "found")).to_contain_text("controller_gain_error", timeout=120_000)
+    report = page.frame_locator("[data-testid=report]")
+    expect(report.get_by_text("controller_gain_error").first).to_be_visible()
+    before = mine.read_bytes()
+    by(page, "apply").click()
+    changed(mine, lambda document: "controller_gain_error" in document["blocks"])
+    expect(by(page, "block-controller_gain_error")).to_be_visible()
+    by(page, "undo").click()
+    changed(mine, lambda document: "controller_gain_error" not in document["blocks"])
+    assert mine.read_bytes() == before
 
 
 def test_read_only_has_nothing_to_edit_with(mine: Path, open_page: Open) -> None:

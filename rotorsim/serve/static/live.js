@@ -63,7 +63,7 @@ export class Live {
     if (data.kind === "state") this.told(data);
     const request = this.waiting.get(data.id);
     if (!request) return;
-    if (data.kind === "progress") request.progress?.(data.share);
+    if (data.kind === "progress") request.progress?.(data.share, data);
     else {
       this.waiting.delete(data.id);
       request.answer(data);

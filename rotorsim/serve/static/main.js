@@ -8,6 +8,7 @@ import { Inspector } from "./inspector.js";
 import { onKey } from "./keys.js";
 import { token } from "./live.js";
 import { Problems } from "./problems.js";
+import { Found, Recordings } from "./recordings.js";
 import { Results, RunBar } from "./runs.js";
 import { Sheet, find, fit, zoom } from "./sheet.js";
 
@@ -57,7 +58,7 @@ function Page() {
     <main>
       <section class="left" aria-label="Diagram"><${Sheet} /><${Problems} /></section>
       <aside aria-label="Inspector"><${Inspector} /></aside>
-      <section class="runs" aria-label="Runs"><div class="set"><${RunBar} /></div><div class="results"><${Results} /></div></section>
+      <section class="runs" aria-label="Runs"><div class="set"><${RunBar} /><${Recordings} /></div><div class="results"><${Found} /><${Results} /></div></section>
     </main>
     <${Dialog} />
     <div class="said" role="status" aria-live="polite">${app.said}</div>`;

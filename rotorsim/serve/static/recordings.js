@@ -1,0 +1,77 @@
+// Recordings below the folder of the diagram: beside it, identified from, diagnosed; what was found, and its repair.
+
+import { html, useEffect, useState } from "./vendor/htm-preact-3.1.1.module.js";
+import { app, edit, live, readOnly, set } from "./app.js";
+import { get } from "./live.js";
+
+Object.assign(app, { recordings: null, recording: "", finding: null, found: null });
+
+export async function listRecordings() {
+  const answer = await get("/api/recordings");
+  const { recordings } = await answer.json();
+  set({ recordings, recording: recordings.includes(app.recording) ? app.recording : (recordings[0] ?? "") });
+}
+
+async function find(verb) {
+  const working = { share: 0, text: "", id: null };
+  set({ finding: working, said: `${verb} ${app.recording} ...` });
+  const asked = { kind: "find", verb, recording: app.recording, started: (id) => (working.id = id) };
+  const found = await live.ask(asked, (share, data) => {
+    Object.assign(working, { share, text: data.text ?? "" });
+    set({});
+  });
+  set({ finding: null });
+  if (found.kind === "found") set({ found, said: `${found.title}: done` });
+  else set({ refused: found.problems ?? [], said: `not done: ${found.problems?.[0].what ?? "connection lost"}` });
+}
+
+export function Recordings() {
+  useEffect(() => {
+    listRecordings();
+  }, [app.state.file]);
+  const held = (name) => name.endsWith("_hold_out");
+  const names = (app.recordings ?? []).filter((name) => !held(name));
+  if (!names.length) {
+    return html`<details class="recordings"><summary>Recordings</summary>
+      <p class="hint">None below the folder of the diagram: <code>rotorsim record</code> simulates one, docs/recordings.md says how measured ones are described.</p>
+      <button class="small" onClick=${listRecordings}>Look again</button></details>`;
+  }
+  const busy = !!app.finding || !app.state.valid;
+  return html`<details class="recordings" open><summary>Recordings</summary>
+    <p class="actions"><select aria-label="Recording" data-testid="recording" value=${app.recording} onChange=${(event) => set({ recording: event.target.value })}>
+      ${names.map((name) => html`<option value=${name}>${name}</option>`)}</select>
+      <button class="small" title="Look again for recordings" onClick=${listRecordings}>↻</button></p>
+    <p class="actions"><button disabled=${busy} title="Driven as it was recorded, measured beside simulated" onClick=${() => find("beside")}>Beside</button>
+      <button disabled=${busy} title="Estimate the free parameters" onClick=${() => find("identify")}>Identify</button>
+      <button disabled=${busy} data-testid="diagnose" title="Where they differ, and what physics is missing" onClick=${() => find("diagnose")}>Diagnose</button></p>
+    ${app.finding ? html`<p class="actions"><progress max="1" value=${app.finding.share || undefined} aria-label="Progress" />
+      <button onClick=${() => live.cancel(app.finding.id)}>Cancel</button></p><p class="hint">${app.finding.text}</p>` : null}</details>`;
+}
+
+function Picture({ outcome, name }) {
+  const [url, show] = useState("");
+  useEffect(() => {
+    let made = "";
+    get(`/api/outcome/${outcome}/${name}`).then(async (answer) => show((made = URL.createObjectURL(await answer.blob()))));
+    return () => URL.revokeObjectURL(made);
+  }, [outcome, name]);
+  return url && html`<figure><img src=${url} alt=${name} /><figcaption><a href=${url} download=${name}>${name}</a></figcaption></figure>`;
+}
+
+export function Found() {
+  const found = app.found;
+  if (!found) return null;
+  const apply = () => edit([{ op: "patch", changes: found.changes }], { base: found.sha, title: `apply ${found.title}` });
+  return html`<div class="figure" data-testid="found"><p class="actions"><b>${found.title}</b>
+      <button class="small" onClick=${() => set({ found: null })}>Close</button></p>
+    ${found.changes.length
+      ? html`<details open class="repair"><summary>What the ${found.report ? "repaired" : "identified"} diagram changes</summary>
+          <ul>${found.words.map((one) => html`<li><code>${one}</code></li>`)}</ul>
+          ${readOnly() ? null : html`<button data-testid="apply" onClick=${apply}>Apply to ${app.state.file}, as one step</button>`}</details>`
+      : null}
+    <details open=${!found.report}><summary>In words</summary><pre>${found.text}</pre></details>
+    ${found.report
+      ? html`<iframe data-testid="report" sandbox="" src=${found.report} title=${`Report, ${found.title}`}></iframe>`
+      : found.figures.map((name) => html`<${Picture} key=${name} outcome=${found.outcome} name=${name} />`)}
+  </div>`;
+}
