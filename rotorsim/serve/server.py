@@ -252,6 +252,7 @@ class _Live(WebSocketHandler):
                 self.close(WRONG_TOKEN, "wrong token")
                 return
             self.known = True
+            self.pages.look()
             self.pages.open.add(self)
             self.send(self.pages.session.state())
         elif isinstance(data, dict):

@@ -194,13 +194,15 @@ class Session:
             raise RotorsimError(Problem("'set' is an object of names and values", "run"))
         document, folder = file.state.document or {}, file.path.parent
 
+        key = f"{file.state.sha} {file.state.parts}"
+
         def source() -> Diagram:
             return load(document, folder=folder, trust_blocks=self.trusted)
 
         if message.get("kind") == "run":
-            data = self.runs.run(file.state.sha, source, settings, stopped, progress)
+            data = self.runs.run(key, source, settings, stopped, progress)
             return {"kind": "result", **data}
-        return {"kind": "table", **self.runs.analyse(file.state.sha, source, str(message.get("what")), settings)}
+        return {"kind": "table", **self.runs.analyse(key, source, str(message.get("what")), settings)}
 
     async def find(self, message: Mapping[str, Any], progress: Callable[[float, str], None]) -> Data:
         """Return what a verb finds in a recording. Raises RotorsimError."""

@@ -14,7 +14,7 @@ from typing import Any
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.diagram.parse.source import read_document
-from rotorsim.diagram.resolve.registry import Registry
+from rotorsim.diagram.resolve.registry import Registry, forget_user_blocks
 from rotorsim.diagram.resolve.resolution import resolve
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.files import write_atomically
@@ -41,7 +41,8 @@ class Edited:
 class State:
     """What stands in the file: hash of its bytes, its document where it is JSON, what is wrong with it.
 
-    diagram: the last that could be drawn. valid: it is the one in the file.
+    diagram: the last that could be drawn. valid: it is the one in the file. parts: the files that it names, when they
+    were written and how large they are.
     """
 
     sha: str
@@ -49,6 +50,7 @@ class State:
     diagram: Diagram | None
     valid: bool
     problems: tuple[Problem, ...] = ()
+    parts: tuple[tuple[str, int, int], ...] = ()
 
 
 @dataclass
@@ -69,10 +71,12 @@ class DiagramFile:
         self.refresh()
 
     def refresh(self) -> bool:
-        """Read the file again where it has changed; return whether it had."""
+        """Read the file again where it, or one that it names, has changed; return whether one had."""
         content = _bytes(self.path)
-        if content == self._content and self.state.sha:
+        if content == self._content and self.state.sha and self.state.parts == self._parts(self.state.document):
             return False
+        if content == self._content:
+            forget_user_blocks()  # one of their files may be another
         self._content = content
         sha = _sha(content)
         try:
@@ -83,8 +87,15 @@ class DiagramFile:
         self._keep(sha, document)
         diagram, problems = self._read(str(self.path))
         known = self.state.diagram if diagram is None else diagram
-        self.state = State(sha, document, known, diagram is not None, self._named(problems))
+        parts = self._parts(document)
+        self.state = State(sha, document, known, diagram is not None, self._named(problems), parts)
         return True
+
+    def _parts(self, document: Document | None) -> tuple[tuple[str, int, int], ...]:
+        """Return what is known of the files that a document names, those of its sub-diagrams too."""
+        found: dict[str, tuple[str, int, int]] = {}
+        _stamp(document, self.path.parent, found)
+        return tuple(found.values())
 
     def edit(self, base: str, operations: Sequence[Operation], *, mine: bool = False) -> Edited:
         """Make operations on the version with the hash ``base`` in the file as it is now, and write it.
@@ -173,6 +184,31 @@ class DiagramFile:
                 problem = replace(problem, place=Place(self.path.name, place.line, place.column))
             named.append(problem)
         return tuple(named)
+
+
+def _stamp(document: Any, folder: Path, found: dict[str, tuple[str, int, int]]) -> None:
+    """Note when the files that blocks and block folders of a document name were written, and how large they are."""
+    blocks = document.get("blocks") if isinstance(document, dict) else None
+    entries = [one for one in blocks.values() if isinstance(one, dict)] if isinstance(blocks, dict) else []
+    named = [one for one in entries if isinstance(one.get("file"), str)]
+    files = [(folder / one["file"], one.get("type") == "diagram") for one in named]
+    folders = document.get("block_folders", []) if isinstance(document, dict) else []
+    for name in folders if isinstance(folders, list) else []:
+        files += [(file, False) for file in sorted((folder / str(name)).glob("*.py"))]
+    for file, is_diagram in files:
+        if str(file) in found:
+            continue
+        try:
+            known = file.stat()
+        except (OSError, ValueError):
+            found[str(file)] = str(file), 0, 0
+            continue
+        found[str(file)] = str(file), known.st_mtime_ns, known.st_size
+        if is_diagram:
+            try:
+                _stamp(read_document(file).data, file.parent, found)
+            except RotorsimError:  # its mistakes are said where it is resolved
+                continue
 
 
 def _patches(changes: list[Change]) -> list[Operation]:

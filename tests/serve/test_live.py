@@ -320,3 +320,77 @@ def test_a_report_opens_with_its_own_key_only_and_runs_nothing(at: Served, tmp_p
     assert (answer.status, b"report" in body) == (200, True)
     assert answer.headers["Content-Security-Policy"].startswith("sandbox; default-src 'none'; ")
     assert answer.headers["X-Frame-Options"] == "SAMEORIGIN"
+
+
+def test_a_sub_diagram_that_changes_on_disk_is_what_runs(tmp_path: Path) -> None:
+    inner = {
+        "schema_version": 1,
+        "blocks": {"gain": {"type": "gain", "parameters": {"gain": 2.0}}},
+        "wires": [],
+        "ports": {"inputs": {"u": "gain.input"}, "outputs": {"y": "gain.output"}},
+    }
+    outer = {
+        "schema_version": 1,
+        "name": "outer",
+        "blocks": {
+            "one": {"type": "constant", "parameters": {"value": 1.0}},
+            "inner": {"type": "diagram", "file": "inner.json"},
+        },
+        "wires": [["one.output", "inner.u"]],
+        "solver": {"step": 0.01, "stop": 0.1},
+        "record": ["inner.y"],
+    }
+    (tmp_path / "inner.json").write_text(json.dumps(inner))
+    (tmp_path / "outer.json").write_text(json.dumps(outer))
+    with served(Session(tmp_path, DiagramFile(tmp_path / "outer.json"))) as at:
+
+        async def talking() -> None:
+            page = await opened(at)
+            assert [one["editable"] for one in page.state["view"]["blocks"]] == [True, False]
+            assert (await page.ask(kind="run"))["values"][0][-1] == 2.0
+            inner["blocks"]["gain"]["parameters"]["gain"] = 33.0
+            (tmp_path / "inner.json").write_text(json.dumps(inner))
+            assert (await page.ask(kind="run"))["values"][0][-1] == 33.0
+            refused = await page.edit({"op": "set", "name": "inner/gain.gain", "value": 4})
+            assert refused["problems"][0]["what"] == "it is a part of the sub-diagram 'inner'"
+
+        talk(talking)
+
+
+def test_a_block_file_of_the_user_that_changes_is_what_runs(tmp_path: Path) -> None:
+    block = '''from rotorsim.block import Block, Equations, In, Out
+
+class Times(Block):
+    """Multiply by a number."""
+
+    input = In()
+    output = Out()
+
+    def equations(self, p, u, x, t):
+        return Equations(outputs={"output": FACTOR * u.input})
+'''
+    (tmp_path / "own").mkdir()
+    file = tmp_path / "own" / "times.py"
+    file.write_text(block.replace("FACTOR", "2"))
+    diagram = {
+        "schema_version": 1,
+        "name": "owner",
+        "block_folders": ["own"],
+        "blocks": {"one": {"type": "constant", "parameters": {"value": 1.0}}, "times": {"type": "times"}},
+        "wires": [["one.output", "times.input"]],
+        "solver": {"step": 0.01, "stop": 0.1},
+        "record": ["times.output"],
+    }
+    (tmp_path / "owner.json").write_text(json.dumps(diagram))
+    untrusted = DiagramFile(tmp_path / "owner.json")
+    assert "block files are programs; they are not run unless you say so" in [p.what for p in untrusted.state.problems]
+    with served(Session(tmp_path, DiagramFile(tmp_path / "owner.json", trusted=True), trusted=True)) as at:
+
+        async def talking() -> None:
+            page = await opened(at)
+            assert page.state["problems"] == []
+            assert (await page.ask(kind="run"))["values"][0][-1] == 2.0
+            file.write_text(block.replace("FACTOR", "100"))
+            assert (await page.ask(kind="run"))["values"][0][-1] == 100.0
+
+        talk(talking)

@@ -23,6 +23,7 @@ from rotorsim.errors import Place, Problems, near_miss
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _PACKAGE = "rotorsim.blocks"
+_USER = "rotorsim_user_blocks"
 _SHARED = "common"  # the folder of what several blocks share
 
 
@@ -124,9 +125,15 @@ def _classes(loaded: Any) -> list[type[Block]]:
     return [v for v in blocks if v.__module__ == loaded.__name__] if isinstance(loaded, ModuleType) else blocks
 
 
+def forget_user_blocks() -> None:
+    """Forget the block files of users, so that they are read again where they have changed."""
+    for name in [name for name in sys.modules if name.startswith(f"{_USER}.")]:
+        del sys.modules[name]
+
+
 def _import_file(file: Path) -> ModuleType:
     # a name of its own: two folders may hold files of the same name
-    name = f"rotorsim_user_blocks.{file.stem}_{hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:12]}"
+    name = f"{_USER}.{file.stem}_{hashlib.sha256(str(file.resolve()).encode()).hexdigest()[:12]}"
     if name in sys.modules:
         return sys.modules[name]
     spec = importlib.util.spec_from_file_location(name, file)
