@@ -39,6 +39,7 @@ def application(session: Session, token: str) -> Application:
             (r"/api/(palette|gallery|recordings)", _Lists, {"session": session}),
             (r"/api/outcome/([0-9]{1,9})/([A-Za-z0-9_.-]{1,80})", _OutcomeFile, {"session": session}),
             (r"/report/([0-9]{1,9})/([A-Za-z0-9_-]{1,80})", _Report, {"session": session}),
+            (r"/api/picture", _Picture, {"session": session}),
             (r"/api/copy", _Copy, {"pages": pages}),
             (r"/api/figure/([0-9]{1,9})/([a-z]{1,20})", _Figure, {"pages": pages}),
         ],
@@ -144,6 +145,23 @@ class _Lists(_Api):
     def get(self, what: str) -> None:
         made: Callable[[], Any] = getattr(self.session, what)
         self.answer(made())
+
+
+class _Picture(_Api):
+    """The diagram as SVG."""
+
+    def initialize(self, session: Session) -> None:
+        self.session = session
+
+    def get(self) -> None:
+        try:
+            made = self.session.picture()
+        except RotorsimError as error:
+            self.set_status(404)
+            self.answer(self.session.refused(error))
+            return
+        self.set_header("Content-Type", "image/svg+xml")
+        self.finish(made)
 
 
 class _OutcomeFile(_Api):

@@ -9,6 +9,7 @@ from threading import Event
 from typing import Any
 
 from rotorsim.diagram.diagram import Diagram, Port
+from rotorsim.diagram.draw import draw_svg
 from rotorsim.diagram.edit import fitting_types
 from rotorsim.diagram.parse.document import endpoint
 from rotorsim.diagram.parse.fmt import format_document
@@ -68,6 +69,10 @@ class Session:
             data = read_document(path).data
             found.append({"name": name, "description": str(data.get("description", ""))})
         return {"diagrams": found, "open": None if self.file is None else self.file.path.name}
+
+    def picture(self) -> str:
+        """Return the diagram as SVG, as `rotorsim draw` writes it. Raises RotorsimError without one."""
+        return draw_svg(self._diagram())
 
     def recordings(self) -> Data:
         """Return the recordings below the folder of the diagram."""

@@ -290,6 +290,38 @@ def test_a_recording_is_diagnosed_and_the_repair_applied_as_one_step(
     assert mine.read_bytes() == before
 
 
+def test_a_block_is_copied_to_another_diagram_and_the_picture_saved(
+    at: Served, open_page: Open, mine: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    other = tmp_path_factory.mktemp("other") / "mine.json"
+    other.write_bytes(mine.read_bytes())
+    page = open_page(at)
+    by(page, "block-unbalance").focus()
+    copied = page.evaluate(
+        """() => {
+          const data = new DataTransfer();
+          window.dispatchEvent(new ClipboardEvent("copy", { clipboardData: data, cancelable: true }));
+          return data.getData("text/plain");
+        }"""
+    )
+    assert json.loads(copied)["parameters"]["eccentricity"] == "24 um"  # what it follows there, not the name
+    with page.expect_download() as loading:
+        by(page, "picture").click()
+    assert loading.value.suggested_filename == "mine.svg"
+    with served(Session(other.parent, DiagramFile(other))) as there:
+        second = open_page(there)
+        second.evaluate(
+            """(text) => {
+              const data = new DataTransfer();
+              data.setData("text/plain", text);
+              window.dispatchEvent(new ClipboardEvent("paste", { clipboardData: data, cancelable: true }));
+            }""",
+            copied,
+        )
+        changed(other, lambda document: "unbalance2" in document["blocks"])
+        assert document_of(other)["blocks"]["unbalance2"]["parameters"]["mass"] == "2 kg"
+
+
 def test_read_only_has_nothing_to_edit_with(mine: Path, open_page: Open) -> None:
     with served(Session(mine.parent, DiagramFile(mine, read_only=True), read_only=True)) as at:
         page = open_page(at)

@@ -132,6 +132,33 @@ export function duplicate() {
   edit([{ op: "add", type: one.type, at: [column, row + 0.5], parameters: written }]);
 }
 
+const COPIED = "rotorsim-block";
+
+// Puts the selected block on the clipboard as JSON, so that another diagram, or an editor, can take it.
+export function copy(event) {
+  const one = block(app.selected?.block);
+  if (!one || app.dialog || /^(INPUT|TEXTAREA)$/.test(document.activeElement.tagName)) return;
+  const written = [...one.parameters, ...one.options].filter((item) => item.written !== null && item.written !== undefined);
+  const parameters = Object.fromEntries(written.map((item) => [item.name, item.follows ? item.value : item.written]));
+  event.clipboardData.setData("text/plain", JSON.stringify({ [COPIED]: one.name, type: one.type, parameters }));
+  event.preventDefault();
+  set({ said: `copied ${one.name}` });
+}
+
+export function paste(event) {
+  if (readOnly() || app.dialog || /^(INPUT|TEXTAREA)$/.test(document.activeElement.tagName)) return;
+  let given = null;
+  try {
+    given = JSON.parse(event.clipboardData.getData("text/plain"));
+  } catch {
+    return;
+  }
+  if (!given?.[COPIED] || typeof given.type !== "string") return;
+  const rows = app.state.view.rows.map((each) => each.value);
+  event.preventDefault();
+  edit([{ op: "add", type: given.type, at: [0, (rows[rows.length - 1] ?? -1) + 1], parameters: given.parameters ?? {} }]);
+}
+
 // The values of column and row at which a block stands.
 export function cell(one) {
   const view = app.state.view;

@@ -12,6 +12,7 @@ export const KEYS = [
   ["w", "wire one of its ports"],
   ["a", "add a block"],
   ["d", "duplicate"],
+  ["Ctrl+C, Ctrl+V", "copy the block; paste it, into another diagram too"],
   ["r", "rename"],
   ["s", "swap for another type"],
   ["Delete", "remove the block, or cut the wire"],

@@ -1,16 +1,25 @@
 // The page: bars, sheet, inspector, results.
 
 import { html, render } from "./vendor/htm-preact-3.1.1.module.js";
-import { app, drawnBy, redo, set, start, undo } from "./app.js";
+import { app, copy, drawnBy, paste, redo, set, start, undo } from "./app.js";
 import { Dialog } from "./dialogs.js";
 import { Gallery } from "./gallery.js";
 import { Inspector } from "./inspector.js";
 import { onKey } from "./keys.js";
-import { token } from "./live.js";
+import { get, token } from "./live.js";
 import { Problems } from "./problems.js";
 import { Found, Recordings } from "./recordings.js";
 import { Results, RunBar } from "./runs.js";
 import { Sheet, find, fit, zoom } from "./sheet.js";
+
+async function savePicture() {
+  const answer = await get("/api/picture");
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(await answer.blob());
+  link.download = app.state.file.replace(/\.json$/, ".svg");
+  link.click();
+  URL.revokeObjectURL(link.href);
+}
 
 function Bar() {
   const writes = app.state && !app.state.read_only;
@@ -30,6 +39,7 @@ function Bar() {
       <button title="The whole diagram (f)" onClick=${fit}>Fit</button>
       <button aria-label="Larger" onClick=${() => zoom(1.25)}>+</button>
     </span>
+    <button title="Save the picture of the diagram as SVG" data-testid="picture" onClick=${savePicture}>Picture</button>
     <button title="Keys (?)" onClick=${() => set({ dialog: { kind: "keys" } })}>Keys</button>
   </header>`;
 }
@@ -67,4 +77,6 @@ function Page() {
 drawnBy(() => render(html`<${Page} />`, document.getElementById("page")));
 set({});
 addEventListener("keydown", onKey);
+addEventListener("copy", copy);
+addEventListener("paste", paste);
 if (token()) start();
