@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from rotorsim.cli.shared import note, refuse_if, trust_option
+from rotorsim.cli.shared import echo_json, json_option, note, refuse_if, trust_option
 from rotorsim.errors import Place, Problem, RotorsimError
 
 FIRST_PORT = 8350
@@ -21,7 +21,10 @@ FIRST_PORT = 8350
 )
 @click.option("--no-browser", is_flag=True, help="Only print the address.")
 @trust_option
-def command(diagram: str | None, read_only: bool, port: int, no_browser: bool, trust_blocks: bool) -> int:
+@json_option
+def command(
+    diagram: str | None, read_only: bool, port: int, no_browser: bool, trust_blocks: bool, as_json: bool
+) -> int:
     """Open a page on which a diagram is looked at, edited and run; its file on disk is the only store.
 
     DIAGRAM is a file of yours; without it the page shows the diagrams that come with rotorsim, each to be copied to the
@@ -50,7 +53,7 @@ def command(diagram: str | None, read_only: bool, port: int, no_browser: bool, t
 
     def ready(actual: int) -> None:
         address = f"http://127.0.0.1:{actual}/#{token}"
-        click.echo(address)
+        echo_json({"address": address, "port": actual}) if as_json else click.echo(address)
         note("Ctrl-C ends it; the address is for you alone, whoever has it can write the file")
         if not no_browser:
             import webbrowser

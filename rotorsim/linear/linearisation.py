@@ -387,5 +387,8 @@ def units_of(model: Model, names: Sequence[str]) -> tuple[str, ...]:
 
 def provenance(model: Model, parameters: Mapping[str, Any] | None, analysis: str) -> dict[str, Any]:
     """Return what a result came from: diagram, values that were set, and the analysis."""
-    given = {name: np.asarray(value, float).tolist() for name, value in (parameters or {}).items()}
+    given = {
+        name: value if isinstance(value, str) else np.asarray(value, float).tolist()
+        for name, value in (parameters or {}).items()
+    }
     return {"diagram": model.diagram.name, "file": model.diagram.file, "set": given, "analysis": analysis}

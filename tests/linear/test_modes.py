@@ -126,3 +126,10 @@ def test_campbell_without_a_speed_parameter_says_what_to_declare():
 def test_speeds_must_be_finite():
     with pytest.raises(RotorsimError, match=r"speeds must be finite and not negative \[rad/s\]"):
         campbell(gyroscopic(), speeds=[1.0, float("nan")])
+
+
+def test_parameters_may_have_units() -> None:
+    """They were taken for numbers when it was noted what was set, and a bare ValueError came."""
+    found = modes(jeffcott(), parameters={"speed": "1800 rpm"})
+    assert found.speed == pytest.approx(1800 * np.pi / 30)
+    assert found.provenance["set"] == {"speed": "1800 rpm"}

@@ -139,6 +139,8 @@ def test_analyses_have_a_table_and_a_figure(at: Served) -> None:
     async def talking() -> None:
         page = await opened(at)
         for what, first in (("modes", "mode"), ("campbell", "order"), ("periodic", "speed [rpm]")):
+            moved = {"speed": "1545 rpm", "eccentricity": "30 um"}  # as sliders say it
+            assert (await page.ask(kind="analyse", what=what, set=moved))["kind"] == "table"
             found = await page.ask(kind="analyse", what=what)
             assert found["kind"] == "table"
             assert found["columns"][0] == first

@@ -24,12 +24,24 @@ export function set(values) {
   draw();
 }
 
+let awaited = null; // tells the block that was added or renamed: the state comes behind the answer
+let shown = () => {};
+export function shownBy(function_) {
+  shown = function_;
+}
+
 export let live = null;
 export function start() {
   live = new Live(
     (state) => {
       const gone = app.selected?.block && !state.view?.blocks.some((one) => one.name === app.selected.block);
       set({ state, sha: state.sha, lost: 0, selected: gone ? null : app.selected });
+      const fresh = awaited && state.view?.blocks.find(awaited);
+      if (fresh) {
+        awaited = null;
+        select({ block: fresh.name });
+        shown(fresh.name);
+      }
     },
     (code) => set({ lost: code }),
   );
@@ -54,6 +66,11 @@ export const name_of = (operations) => {
   return words[first.op]?.() ?? "edit";
 };
 
+const DONE = { move: "moved", wire: "wired", swap: "swapped", add: "added", remove: "removed", rename: "renamed", record: "changed what is recorded:" };
+
+// What is said of an edit that is done: "wired rotor.displacement to amb.displacement".
+const saidOf = (title) => title.replace(/^\w+/, (word) => DONE[word] ?? word);
+
 let last = Promise.resolve(); // edits go one after the other
 
 const after = (work) => (last = last.then(work));
@@ -63,6 +80,7 @@ export const edit = (operations, more) => after(() => send(operations, more));
 
 async function send(operations, { base, mine = false, title, where = "new" } = {}) {
   if (readOnly() || !operations.length) return false;
+  awaited = null;
   const known = base ?? app.sha;
   const before = new Set(app.state.view.blocks.map((one) => one.name));
   const found = await live.ask({ kind: "edit", base: known, operations, mine });
@@ -76,27 +94,20 @@ async function send(operations, { base, mine = false, title, where = "new" } = {
       app.undo.push(step);
       if (where === "new") app.redo.length = 0;
     }
-    const verb = { undo: "taken back: ", redo: "done again: " }[where] ?? "";
-    set({ said: verb + words, refused: [] });
-    if (operations[0].op === "add") selectNew(before);
-    if (operations[0].op === "rename") set({ selected: { block: operations[0].to } });
+    const said = { undo: `taken back: ${words}`, redo: `done again: ${words}` }[where] ?? saidOf(words);
+    if (operations[0].op === "add") awaited = (one) => !before.has(one.name);
+    if (operations[0].op === "rename") awaited = (one) => one.name === operations[0].to;
+    set({ said, refused: [] });
     return true;
   }
   if (found.kind === "conflict") {
     set({ dialog: { kind: "conflict", found, operations, title: words, where } });
   } else if (found.kind === "refused") {
     set({ refused: found.problems, said: `not done: ${found.problems[0].what}` });
+  } else {
+    set({ said: `not done: ${words}; there is no connection to rotorsim serve` });
   }
   return false;
-}
-
-function selectNew(before) {
-  const select = () => {
-    const fresh = app.state.view?.blocks.find((one) => !before.has(one.name));
-    if (fresh) set({ selected: { block: fresh.name } });
-    return fresh;
-  };
-  if (!select()) setTimeout(select, 150); // the state comes behind the answer
 }
 
 export const undo = () => after(() => back(app.undo, "undo"));
@@ -180,14 +191,15 @@ export function valueAt(cells, start, end, at) {
   return cells[cells.length - 1].value + 1;
 }
 
-// Moves a block to a cell; where another stands there, to a row of its own below that.
-export function move(name, column, row) {
+// The cell that a block may have; where another stands there, in a row of its own below that.
+export function free(name, column, row) {
   const taken = app.state.view.blocks.some((one) => {
     const [c, r] = cell(one);
     return one.name !== name && c === column && r === row;
   });
   const rows = app.state.view.rows.map((one) => one.value);
   const next = rows.find((value) => value > row);
-  const free = taken ? (next === undefined ? row + 1 : (row + next) / 2) : row;
-  return edit([{ op: "move", block: name, to: [column, free] }]);
+  return [column, taken ? (next === undefined ? row + 1 : (row + next) / 2) : row];
 }
+
+export const move = (name, column, row) => edit([{ op: "move", block: name, to: free(name, column, row) }]);

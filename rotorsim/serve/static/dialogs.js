@@ -1,9 +1,11 @@
 // Dialogs: the palette, lists to choose from, renaming, conflicts, keys.
 
 import { html, useEffect, useRef, useState } from "./vendor/htm-preact-3.1.1.module.js";
-import { app, block, cell, edit, live, set } from "./app.js";
+import { app, block, cell, edit, free, live, set } from "./app.js";
+import { cellAt } from "./camera.js";
 import { KEYS } from "./keys.js";
 import { get } from "./live.js";
+import { follow } from "./sheet.js";
 
 const close = () => set({ dialog: null });
 
@@ -17,6 +19,7 @@ function Box({ title, id, children }) {
   const onKeyDown = (event) => {
     event.stopPropagation();
     if (event.key === "Escape") return close();
+    if (!box.current) return; // it was closed by this key
     const all = [...box.current.querySelectorAll("button:not([disabled]), input, select")];
     const at = all.indexOf(document.activeElement);
     if (event.key === "Tab") {
@@ -44,10 +47,29 @@ function Palette() {
   const wanted = text.toLowerCase().split(/\s+/);
   const fitting = (known ?? []).filter((one) => wanted.every((word) => `${one.type} ${one.category} ${one.summary}`.toLowerCase().includes(word)));
   fitting.sort((a, b) => b.type.startsWith(text) - a.type.startsWith(text) || a.category.localeCompare(b.category));
+  const drag = (event, one) => {
+    const [x, y] = [event.clientX, event.clientY];
+    const ghost = document.createElement("div");
+    ghost.className = "ghost";
+    ghost.textContent = one.type;
+    const moved = (next) => {
+      if (!ghost.isConnected && Math.hypot(next.clientX - x, next.clientY - y) < 6) return;
+      if (!ghost.isConnected) {
+        close();
+        document.body.append(ghost);
+      }
+      Object.assign(ghost.style, { left: `${next.clientX}px`, top: `${next.clientY}px` });
+    };
+    follow(moved, (next) => {
+      const at = ghost.isConnected && next && cellAt(next);
+      ghost.remove();
+      if (at) edit([{ op: "add", type: one.type, at: free("", ...at), parameters: {} }]);
+    });
+  };
   const add = (one) => {
     const chosen = block(app.selected?.block);
     const rows = app.state.view.rows.map((each) => each.value);
-    const at = chosen ? [cell(chosen)[0], cell(chosen)[1] + 0.5] : [0, (rows[rows.length - 1] ?? -1) + 1];
+    const at = chosen ? free("", ...cell(chosen)) : [0, (rows[rows.length - 1] ?? -1) + 1];
     close();
     edit([{ op: "add", type: one.type, at, parameters: {} }]);
   };
@@ -55,7 +77,7 @@ function Palette() {
     <input type="search" role="searchbox" aria-label="Find a type" placeholder="type, category or words" value=${text} onInput=${(event) => type(event.target.value)}
       onKeyDown=${(event) => event.key === "Enter" && fitting[0] && add(fitting[0])} />
     <div class="list">${fitting.map(
-      (one) => html`<button key=${one.type} data-testid=${`palette-${one.type}`} onClick=${() => add(one)}>
+      (one) => html`<button key=${one.type} data-testid=${`palette-${one.type}`} onClick=${() => add(one)} onPointerDown=${(event) => event.button === 0 && drag(event, one)}>
         <b>${one.type}</b> <span class="kind">${one.category}</span><br />${one.summary}</button>`,
     )}</div><//>`;
 }
@@ -69,9 +91,10 @@ function Swap({ name }) {
     close();
     edit([{ op: "swap", block: name, type }]);
   };
+  if (!found) return null; // so that the first type has the focus at once
   return html`<${Box} title=${`Swap ${name}, values of equal name are kept`}>
-    <div class="list">${(found?.types ?? []).map((type) => html`<button key=${type} onClick=${() => take(type)}>${type}</button>`)}
-      ${found && !found.types?.length ? html`<p>No other type has these ports.</p>` : null}</div><//>`;
+    <div class="list">${(found.types ?? []).map((type) => html`<button key=${type} onClick=${() => take(type)}>${type}</button>`)}
+      ${!found.types?.length ? html`<p>No other type has these ports.</p>` : null}</div><//>`;
 }
 
 function Rename({ name }) {
@@ -122,8 +145,8 @@ function Conflict({ dialog }) {
     <table><thead><tr><th>entry</th><th>yours</th><th>in the file</th></tr></thead><tbody>${dialog.found.conflicts.map(
       (one) => html`<tr><td>${one.what}</td><td><code>${value(one.mine)}</code></td><td><code>${value(one.theirs)}</code></td></tr>`,
     )}</tbody></table>
-    <p class="actions"><button data-testid="conflict-mine" onClick=${mine}>Write mine</button>
-      <button data-testid="conflict-theirs" onClick=${close}>Keep theirs</button></p><//>`;
+    <p class="actions"><button data-testid="conflict-theirs" onClick=${close}>Keep theirs</button>
+      <button data-testid="conflict-mine" onClick=${mine}>Write mine</button></p><//>`;
 }
 
 function Keys() {

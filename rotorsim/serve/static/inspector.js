@@ -1,7 +1,7 @@
 // What is selected: a block with its values, a wire, or the diagram with its parameters.
 
-import { html, useEffect, useState } from "./vendor/htm-preact-3.1.1.module.js";
-import { app, block, duplicate, edit, live, readOnly, remove, set } from "./app.js";
+import { html, useEffect, useRef, useState } from "./vendor/htm-preact-3.1.1.module.js";
+import { app, block, duplicate, edit, live, readOnly, remove, select, set } from "./app.js";
 
 const text = (value) => (value === null || value === undefined ? "" : typeof value === "string" ? value : JSON.stringify(value));
 
@@ -22,6 +22,7 @@ export function Field({ name, label, item, more }) {
   const shown = item.written !== null && item.written !== undefined ? text(item.written) : "";
   const [typed, type] = useState(null);
   const [wrong, say] = useState(null);
+  const sent = useRef(null); // the text that is being written, or was refused
   useEffect(() => {
     type(null);
     say(null);
@@ -37,51 +38,86 @@ export function Field({ name, label, item, more }) {
   const commit = async () => {
     if (typed === null || typed === shown) return type(null);
     if (typed === "" && item.required !== false) return type(null);
+    if (typed === sent.current) return;
+    sent.current = typed;
     const base = app.editing?.name === name ? app.editing.base : undefined;
-    await edit([{ op: "set", name, value: typed === "" ? null : meant(typed) }], { base });
-    if (app.editing?.name === name) app.editing.base = app.sha;
-    if (!app.refused.length) type(null);
+    const done = await edit([{ op: "set", name, value: typed === "" ? null : meant(typed) }], { base });
+    if (done || app.dialog?.kind === "conflict") type(null);
+    if (done || !app.refused.length) sent.current = null;
+  };
+  const onInput = (event) => {
+    if (typed === null) app.editing = { name, base: app.sha }; // what was seen when the change began
+    sent.current = null;
+    type(event.target.value);
   };
   const id = `field-${name}`;
   return html`<div class="field">
     <label for=${id} title=${item.doc}>${broken(label)}</label>
     <input id=${id} data-testid=${`param-${name}`} value=${typed ?? shown} placeholder=${item.value} disabled=${readOnly()}
       aria-invalid=${!!wrong} aria-describedby=${wrong ? `${id}-wrong` : undefined}
-      onFocus=${() => (app.editing = { name, base: app.sha })} onBlur=${commit} onInput=${(event) => type(event.target.value)}
+      onBlur=${commit} onInput=${onInput}
       onKeyDown=${(event) => {
         if (event.key === "Enter") commit();
         if (event.key === "Escape") type(null);
       }} />
-    <span class="unit">${item.unit === "1" || item.unit === "any" || /[a-z%]/i.test(typed ?? shown) ? "" : item.unit}</span>
-    ${item.written !== null && item.required === false && !readOnly()
-      ? html`<button class="small" title="Back to the default" aria-label=${`${name}: back to the default`} onClick=${() => edit([{ op: "set", name, value: null }])}>↺</button>`
-      : null}
+    <span class="unit">${item.unit === "1" || item.unit === "any" || /^$|[a-z%]/i.test(typed ?? shown) ? "" : item.unit}</span>
+    <${Default} name=${name} item=${item} />
     ${more}
     ${wrong ? html`<p class="wrong" id=${`${id}-wrong`} data-testid="param-error">${wrong.problem}${wrong.hint && ` (${wrong.hint})`}</p>` : null}
     ${item.follows ? html`<p class="follows">follows the parameter ${item.follows} of the diagram: ${item.value}</p>` : null}
   </div>`;
 }
 
-function Choice({ name, item }) {
-  const value = item.written ?? item.value;
-  const choose = (event) => edit([{ op: "set", name, value: item.choices[event.target.selectedIndex] }]);
-  return html`<div class="field"><label for=${`field-${name}`} title=${item.doc}>${broken(item.name)}</label>
-    <select id=${`field-${name}`} data-testid=${`param-${name}`} disabled=${readOnly()} onChange=${choose}>
-      ${item.choices.map((one) => html`<option selected=${String(one) === String(value)}>${String(one)}</option>`)}
-    </select></div>`;
+function Default({ name, item }) {
+  if (item.written === null || item.required !== false || readOnly()) return null;
+  const back = () => edit([{ op: "set", name, value: null }]);
+  return html`<button class="small" title="Back to the default" aria-label=${`${name}: back to the default`} onClick=${back}>↺</button>`;
 }
 
-function Ports({ title, ports }) {
+function Choice({ name, item }) {
+  const value = String(item.written ?? item.value).toLowerCase();
+  const chosen = item.choices.findIndex((one) => String(one).toLowerCase() === value);
+  const choose = async ({ target }) => {
+    if (!(await edit([{ op: "set", name, value: item.choices[target.selectedIndex] }]))) target.selectedIndex = chosen;
+  };
+  return html`<div class="field"><label for=${`field-${name}`} title=${item.doc}>${broken(item.name)}</label>
+    <select id=${`field-${name}`} data-testid=${`param-${name}`} disabled=${readOnly()} onChange=${choose}>
+      ${item.choices.map((one, k) => html`<option selected=${k === chosen}>${String(one)}</option>`)}
+    </select><span></span><${Default} name=${name} item=${item} /></div>`;
+}
+
+// Selects a wire from its block, and goes to the button that cuts it: so wires are reached without a mouse.
+function toWire(wire) {
+  select({ wire: [wire.source, wire.target] });
+  requestAnimationFrame(() => (document.querySelector("aside [data-testid=remove]") ?? document.querySelector("aside button"))?.focus());
+}
+
+function Ports({ title, one, side }) {
+  const ports = one[side];
   if (!ports.length) return null;
-  return html`<h3>${title}</h3><ul class="ports">${ports.map(
-    (one) => html`<li><b>${one.name}</b> ${one.unit === "1" ? "" : one.unit} <span class="shape">${one.shape}</span> ${one.wired ? "" : "not wired"}</li>`,
-  )}</ul>`;
+  const [own, other] = side === "inputs" ? ["target", "source"] : ["source", "target"];
+  const { wires, record } = app.state.view;
+  const recorder = (signal) => {
+    const on = record.includes(signal);
+    const change = () => edit([{ op: "record", signal, on: !on }]);
+    return html`<button class="small" aria-pressed=${on} onClick=${change} aria-label=${`${on ? "do not record" : "record"} ${signal}`}>${on ? "recorded ✓" : "record"}</button>`;
+  };
+  return html`<h3>${title}</h3><ul class="ports">${ports.map((port) => {
+    const name = `${one.name}.${port.name}`;
+    const own_wires = wires.filter((wire) => wire[own].replace(/\[.*$/, "") === name);
+    return html`<li key=${port.name}><b>${port.name}</b> ${port.unit === "1" ? "" : port.unit} <span class="shape">${port.shape}</span>
+      ${own_wires.length ? null : html` <span class="shape">${port.optional ? "not wired, may stay so" : "not wired"}</span>`}
+      ${side === "outputs" && one.editable && !readOnly() ? recorder(name) : null}
+      ${own_wires.map((wire) => html`<button class="link" title="To the wire" onClick=${() => toWire(wire)}>${other === "source" ? "from" : "to"} ${wire[other]}</button>`)}</li>`;
+  })}</ul>`;
 }
 
 function OfBlock({ one }) {
   const fields = (items) =>
     items.map((item) => {
       const name = `${one.name}.${item.name}`;
+      const is_bool = !item.choices && /^(True|False)$/.test(item.value);
+      if (is_bool) return html`<${Choice} key=${name} name=${name} item=${{ ...item, choices: [false, true] }} />`;
       return item.choices ? html`<${Choice} key=${name} name=${name} item=${item} />` : html`<${Field} key=${name} name=${name} label=${item.name} item=${item} />`;
     });
   return html`<h2>${one.name}</h2><p class="kind">${one.kind}</p><p>${one.summary}</p>
@@ -95,13 +131,14 @@ function OfBlock({ one }) {
       : null}
     ${one.parameters.length ? html`<h3>Parameters</h3>${fields(one.parameters)}` : null}
     ${one.options.length ? html`<h3>Options</h3>${fields(one.options)}` : null}
-    <${Ports} title="Inputs" ports=${one.inputs} /><${Ports} title="Outputs" ports=${one.outputs} />`;
+    <${Ports} title="Inputs" one=${one} side="inputs" /><${Ports} title="Outputs" one=${one} side="outputs" />`;
 }
 
 function OfWire({ wire }) {
   const recorded = app.state.view.record.includes(wire.source);
   const record = () => edit([{ op: "record", signal: wire.source, on: !recorded }]);
-  return html`<h2>Wire</h2><p><b>${wire.source}</b> to <b>${wire.target}</b></p>
+  const end = (text) => html`<button class="link" title="To the block" onClick=${() => select({ block: text.split(/\.(?=[^.]*$)/)[0] })}>${text}</button>`;
+  return html`<h2>Wire</h2><p>${end(wire.source)} to ${end(wire.target)}</p>
     <p>unit ${wire.unit}, ${wire.shape === "scalar" ? "a scalar" : `shape ${wire.shape}`}</p>
     ${readOnly() ? null : html`<p class="actions"><button data-testid="remove" onClick=${remove}>Cut</button>
       <button onClick=${record}>${recorded ? "Do not record" : "Record"} ${wire.source}</button></p>`}`;

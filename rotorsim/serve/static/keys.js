@@ -1,8 +1,8 @@
 // The keyboard: what every key does.
 
-import { app, block, cell, duplicate, move, redo, remove, select, set, undo } from "./app.js";
+import { app, block, cell, duplicate, move, readOnly, redo, remove, select, set, undo } from "./app.js";
 import { run } from "./runs.js";
-import { fit, focusBlock } from "./sheet.js";
+import { bring, fit, focusBlock } from "./camera.js";
 
 export const KEYS = [
   ["Tab", "next block"],
@@ -27,26 +27,27 @@ const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowD
 
 export function onKey(event) {
   if (!app.state?.view || app.dialog) return;
-  const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName);
+  const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName) && !/^(range|checkbox)$/.test(event.target.type);
   const control = event.ctrlKey || event.metaKey;
   if (control && event.key.toLowerCase() === "z" && !typing) return act(event, event.shiftKey ? redo : undo);
   if (control && event.key.toLowerCase() === "y" && !typing) return act(event, redo);
   if (event.key === "Escape") return act(event, () => (typing ? event.target.blur() : select(null)));
   if (typing || control) return;
   const one = block(app.selected?.block);
-  if (STEPS[event.key] && one) return act(event, () => (event.altKey ? shift(one, STEPS[event.key]) : go(one, STEPS[event.key])));
+  if (STEPS[event.key] && one && event.target.type !== "range") return act(event, () => (event.altKey ? shift(one, STEPS[event.key]) : go(one, STEPS[event.key])));
   const actions = {
-    a: () => !app.state.read_only && set({ dialog: { kind: "palette" } }),
     p: () => run(),
     f: fit,
     "/": () => document.querySelector("[data-testid=search]").focus(),
     "?": () => set({ dialog: { kind: "keys" } }),
-    u: undo,
-    Delete: () => app.selected && remove(),
-    Backspace: () => app.selected && remove(),
   };
-  if (one) {
-    actions.Enter = () => document.querySelector("aside input, aside select")?.focus();
+  if (one) actions.Enter = () => document.querySelector("aside input, aside select, aside button")?.focus();
+  if (!readOnly()) {
+    actions.a = () => set({ dialog: { kind: "palette" } });
+    actions.u = undo;
+    actions.Delete = actions.Backspace = () => app.selected && remove();
+  }
+  if (one?.editable && !readOnly()) {
     actions.d = duplicate;
     actions.r = () => set({ dialog: { kind: "rename", block: one.name } });
     actions.s = () => set({ dialog: { kind: "swap", block: one.name } });
@@ -86,5 +87,6 @@ function go(one, [dx, dy]) {
   if (far(best) < Infinity) {
     select({ block: best.name });
     focusBlock(best.name);
+    bring(best.name);
   }
 }

@@ -82,6 +82,6 @@ export class Live {
   }
 
   cancel(id) {
-    this.socket.send(JSON.stringify({ kind: "cancel", id }));
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ kind: "cancel", id }));
   }
 }

@@ -2,6 +2,7 @@
 
 import { html, render } from "./vendor/htm-preact-3.1.1.module.js";
 import { app, copy, drawnBy, paste, redo, set, start, undo } from "./app.js";
+import { find, fit, zoom } from "./camera.js";
 import { Dialog } from "./dialogs.js";
 import { Gallery } from "./gallery.js";
 import { Inspector } from "./inspector.js";
@@ -10,7 +11,7 @@ import { get, token } from "./live.js";
 import { Problems } from "./problems.js";
 import { Found, Recordings } from "./recordings.js";
 import { Results, RunBar } from "./runs.js";
-import { Sheet, find, fit, zoom } from "./sheet.js";
+import { Sheet, follow } from "./sheet.js";
 
 async function savePicture() {
   const answer = await get("/api/picture");
@@ -58,6 +59,30 @@ function Banners() {
     : null}`;
 }
 
+// The line between sheet and results: dragged, or moved with the arrows.
+function Split() {
+  const rows = (share) => {
+    app.share = Math.min(Math.max(share, 0.15), 0.85);
+    const main = document.querySelector("main");
+    main.style.gridTemplateRows = `minmax(0, ${app.share}fr) 7px minmax(0, ${1 - app.share}fr)`;
+  };
+  const drag = (event) => {
+    event.preventDefault();
+    const box = document.querySelector("main").getBoundingClientRect();
+    follow((next) => rows((next.clientY - box.top) / box.height), () => set({}));
+  };
+  const press = (event) => {
+    const step = { ArrowUp: -0.05, ArrowDown: 0.05 }[event.key];
+    if (!step) return;
+    event.preventDefault();
+    event.stopPropagation();
+    rows((app.share ?? 0.55) + step);
+    set({});
+  };
+  return html`<div class="split" role="separator" aria-orientation="horizontal" aria-label="Height of the diagram" tabindex="0"
+    aria-valuenow=${Math.round((app.share ?? 0.55) * 100)} aria-valuemin="15" aria-valuemax="85" onPointerDown=${drag} onKeyDown=${press}></div>`;
+}
+
 function Page() {
   if (!token()) {
     return html`<main class="alone"><h1>rotorsim</h1><p>Open the address that <code>rotorsim serve</code> printed.</p></main>`;
@@ -67,7 +92,7 @@ function Page() {
   return html`<${Bar} /><${Banners} />
     <main>
       <section class="left" aria-label="Diagram"><${Sheet} /><${Problems} /></section>
-      <aside aria-label="Inspector"><${Inspector} /></aside>
+      <${Split} /><aside aria-label="Inspector"><${Inspector} /></aside>
       <section class="runs" aria-label="Runs"><div class="set"><${RunBar} /><${Recordings} /></div><div class="results"><${Found} /><${Results} /></div></section>
     </main>
     <${Dialog} />
@@ -79,4 +104,5 @@ set({});
 addEventListener("keydown", onKey);
 addEventListener("copy", copy);
 addEventListener("paste", paste);
+addEventListener("hashchange", () => location.reload()); // the address of a server that was started again
 if (token()) start();

@@ -2,6 +2,7 @@
 
 import { html } from "./vendor/htm-preact-3.1.1.module.js";
 import { app, select } from "./app.js";
+import { bring } from "./camera.js";
 
 export function Problems() {
   const listed = [...app.refused.map((one) => ({ ...one, refused: true })), ...(app.state.problems ?? [])];
@@ -9,8 +10,8 @@ export function Problems() {
   return html`<ul class="problems" data-testid="problems" aria-label="Problems">
     ${listed.map(
       (one, k) => html`<li key=${k} class=${one.severity}>
-        <button data-testid="problem" disabled=${!one.block} onClick=${() => select({ block: one.block })}>
-          <span class="mark" aria-hidden="true">${one.severity === "error" ? "▲" : "●"}</span>
+        <button data-testid="problem" disabled=${!one.block} onClick=${() => (select({ block: one.block }), bring(one.block))}>
+          <span class="mark" role="img" aria-label=${one.severity}>${one.severity === "error" ? "!" : "?"}</span>
           ${one.refused ? "not done: " : ""}${one.place && html`<span class="place">${one.place} </span>`}
           <b>${one.subject}</b> ${one.what}${one.hint && html` <span class="hint">${one.hint}</span>`}
         </button></li>`,

@@ -20,8 +20,8 @@ export async function run(slid = false) {
     again = true;
     return;
   }
-  const settings = Object.fromEntries(Object.entries(app.moved).filter(([name]) => parameter(name)));
-  const working = { share: 0, id: null };
+  const settings = moved();
+  const working = { share: 0, id: null, slid };
   set({ running: working, said: "running" });
   const found = await live.ask({ kind: "run", set: settings, started: (id) => (working.id = id) }, (share) => {
     working.share = share;
@@ -36,7 +36,8 @@ export async function run(slid = false) {
   }
 }
 
-const parameter = (name) => app.state.view?.parameters.some((one) => one.name === name);
+// The parameters that were moved, of those that there are.
+const moved = () => Object.fromEntries(Object.entries(app.moved).filter(([name]) => app.state.view?.parameters.some((one) => one.name === name)));
 
 function keep(found, slid, settings) {
   const number = slid && app.runs[app.runs.length - 1]?.slid ? app.count : ++app.count;
@@ -45,7 +46,7 @@ function keep(found, slid, settings) {
   const title = `${number}: ${[found.title, ...differing(values, others[0]?.values)].join(", ")}`;
   const one = { ...found, number, slid, title, values, rows: found.values, shown: true };
   const bad = found.status === "finished" ? "" : `${found.status}: `;
-  set({ runs: [...others, one].slice(-most.runs), said: `${title}: ${bad}${found.message || "finished"}` });
+  set({ refused: [], runs: [...others, one].slice(-most.runs), said: `${title}: ${bad}${found.message || "finished"}` });
 }
 
 // Every value of the diagram, to say in what two runs differ.
@@ -67,17 +68,18 @@ function differing(values, first) {
 
 async function analyse(what) {
   set({ running: { share: 0, id: null }, said: `${what} ...` });
-  const found = await live.ask({ kind: "analyse", what, set: app.moved });
+  const found = await live.ask({ kind: "analyse", what, set: moved() });
   set({ running: null });
   if (found.kind === "table") {
-    set({ table: found, said: found.title });
+    set({ refused: [], table: found, said: found.title });
     show(found.run, what, found.title);
-  } else set({ refused: found.problems ?? [], said: `not done: ${found.problems?.[0].what}` });
+  } else set({ refused: found.problems ?? [], said: `not done: ${found.problems?.[0].what ?? "connection lost"}` });
 }
 
 async function show(number, kind, title) {
   try {
     const answer = await get(`/api/figure/${number}/${kind}`);
+    if (app.figure) URL.revokeObjectURL(app.figure.url);
     set({ figure: { url: URL.createObjectURL(await answer.blob()), title, file: `${kind}.svg` } });
   } catch (error) {
     set({ said: error.message });
@@ -97,8 +99,7 @@ function Slider({ item }) {
   const at = now === undefined ? value : Number(QUANTITY.exec(String(now))[1]);
   const slide = (event) => {
     const next = Number(Number(event.target.value).toPrecision(6));
-    const moved = { ...app.moved, [item.name]: given[2] ? `${next} ${given[2]}` : next };
-    set({ moved });
+    set({ moved: { ...app.moved, [item.name]: given[2] ? `${next} ${given[2]}` : next } });
     clearTimeout(timer.id);
     timer.id = setTimeout(() => run(true), 80);
   };
@@ -110,20 +111,21 @@ function Slider({ item }) {
 
 export function RunBar() {
   const view = app.state.view;
-  const moved = Object.keys(app.moved).length > 0;
+  const any = Object.keys(moved()).length > 0;
+  const busy = app.running && !app.running.slid; // a slider that moves leaves the bar as it is
   return html`<div class="runbar">
-    <button class="main" data-testid="run" disabled=${!!app.running || !app.state.valid} title="Simulate (p)" onClick=${() => run()}>Run</button>
-    <button disabled=${!!app.running} onClick=${() => analyse("modes")}>Modes</button>
-    <button disabled=${!!app.running} onClick=${() => analyse("campbell")}>Campbell</button>
-    <button disabled=${!!app.running} onClick=${() => analyse("periodic")}>Over speed</button>
+    <button class="main" data-testid="run" disabled=${busy || !app.state.valid} title="Simulate (p)" onClick=${() => run()}>Run</button>
+    <button disabled=${busy} onClick=${() => analyse("modes")}>Modes</button>
+    <button disabled=${busy} onClick=${() => analyse("campbell")}>Campbell</button>
+    <button disabled=${busy} onClick=${() => analyse("periodic")}>Over speed</button>
     ${app.running
-      ? html`<progress max="1" value=${app.running.share} aria-label="Progress" />
-          <button onClick=${() => app.running.id && live.cancel(app.running.id)}>Cancel</button>`
+      ? html`<span class="working"><progress max="1" value=${app.running.share || undefined} aria-label="Progress" />
+          ${app.running.id && html`<button onClick=${() => live.cancel(app.running.id)}>Cancel</button>`}</span>`
       : null}
-    ${moved ? html`<button onClick=${() => set({ moved: {} })}>Sliders back</button>` : null}
+    ${any ? html`<button onClick=${() => set({ moved: {} })}>Sliders back</button>` : null}
   </div>
   <details class="sliders" open><summary>Parameters of the diagram</summary>
-    ${moved ? html`<p class="moved">Sliders are for runs only: the file stays as it is.</p>` : null}
+    ${any ? html`<p class="moved">Sliders are for runs only: the file stays as it is.</p>` : null}
     ${view?.parameters.map((item) => html`<${Slider} key=${item.name} item=${item} />`)}</details>`;
 }
 
@@ -151,6 +153,8 @@ function rowsOf(one, name) {
   return null;
 }
 
+const zoomed = new Map(); // signal -> [from, to] of its chart, kept when runs come and go
+
 function Chart({ name, runs }) {
   const box = useRef(null);
   useEffect(() => {
@@ -175,7 +179,7 @@ function Chart({ name, runs }) {
       width: Math.max(element.clientWidth, 240),
       height: 190,
       title: `${name} [${unit}]`,
-      scales: { x: { time: false } },
+      scales: { x: { time: false, ...between(name, data[0]) } },
       axes: [{ label: "time [s]", labelSize: 18, size: 36 }, { size: 60 }],
       series: [{ label: "time [s]", value: (_, value) => (value === null || value === undefined ? "-" : value.toPrecision(6)) }, ...series],
       cursor: { sync: { key: "time" }, drag: { x: true, y: false } },
@@ -185,10 +189,19 @@ function Chart({ name, runs }) {
     watch.observe(element);
     return () => {
       watch.disconnect();
+      const { min, max } = chart.scales.x;
+      const whole = min <= data[0][0] && max >= data[0].at(-1);
+      whole ? zoomed.delete(name) : zoomed.set(name, [min, max]);
       chart.destroy();
     };
   }, [name, runs.map(([one, k]) => `${one.run}:${k}:${one.title}`).join()]);
   return html`<div class="chart" data-testid="chart" role="img" aria-label=${`${name} over time`} ref=${box}></div>`;
+}
+
+// The part of the time that was zoomed to before, if there is some of it.
+function between(name, time) {
+  const [min, max] = zoomed.get(name) ?? [];
+  return min < time.at(-1) && max > time[0] ? { min, max } : {};
 }
 
 function Orbit({ name, runs }) {

@@ -1,65 +1,13 @@
-// The sheet: blocks, ports and wires as SVG; zoom, pan, dragging of blocks, wiring from port to port.
+// The sheet: blocks, ports and wires as SVG; shifting it, dragging of blocks, wiring from port to port.
 
 import { html, useEffect, useRef } from "./vendor/htm-preact-3.1.1.module.js";
 import { app, edit, live, move, readOnly, select, set, valueAt } from "./app.js";
-
-const camera = { x: 20, y: 10, k: 1, fitted: "" };
-const world = () => document.querySelector(".world");
-const sheet = () => document.querySelector(".sheet");
-
-function look() {
-  world()?.setAttribute("transform", `translate(${camera.x} ${camera.y}) scale(${camera.k})`);
-}
-
-export function fit() {
-  const box = sheet()?.getBoundingClientRect();
-  const view = app.state?.view;
-  if (!box || !view) return;
-  camera.k = Math.max(Math.min((box.width - 20) / view.width, (box.height - 20) / view.height, 1.6), 0.05);
-  camera.x = (box.width - view.width * camera.k) / 2;
-  camera.y = Math.max((box.height - view.height * camera.k) / 2, 0);
-  look();
-}
-
-export function zoom(factor, x, y) {
-  const box = sheet().getBoundingClientRect();
-  const at = [x ?? box.width / 2, y ?? box.height / 2];
-  const k = Math.min(Math.max(camera.k * factor, 0.05), 6);
-  camera.x = at[0] - ((at[0] - camera.x) * k) / camera.k;
-  camera.y = at[1] - ((at[1] - camera.y) * k) / camera.k;
-  camera.k = k;
-  look();
-}
-
-export function focusBlock(name) {
-  document.querySelector(`[data-block="${CSS.escape(name)}"]`)?.focus({ preventScroll: true });
-}
-
-// Marks the blocks whose name or type holds a text, and brings the first to the middle.
-export function find(text) {
-  set({ search: text });
-  const first = text && app.state.view?.blocks.find(found);
-  if (!first) return;
-  const box = sheet().getBoundingClientRect();
-  camera.x = box.width / 2 - (first.x + first.width / 2) * camera.k;
-  camera.y = box.height / 2 - (first.y + first.height / 2) * camera.k;
-  look();
-}
-
-const found = (one) => {
-  const text = app.search.toLowerCase();
-  return text && (one.name.toLowerCase().includes(text) || one.kind.toLowerCase().includes(text));
-};
+import { bring, camera, fit, focusBlock, found, look, place, sheet, zoom } from "./camera.js";
 
 const path = (points) => "M" + points.map(([x, y]) => `${x},${y}`).join(" L");
 
-function place(event) {
-  const box = sheet().getBoundingClientRect();
-  return [(event.clientX - box.left - camera.x) / camera.k, (event.clientY - box.top - camera.y) / camera.k];
-}
-
-// Follows the pointer until it is let go; moved is called once a frame at most.
-function follow(event, moved, done) {
+// Follows the pointer until it is let go, or Escape: then done has no event. moved is called once a frame at most.
+export function follow(moved, done) {
   let last = null;
   const draw = () => {
     const at = last;
@@ -70,16 +18,22 @@ function follow(event, moved, done) {
     if (!last) requestAnimationFrame(draw);
     last = next;
   };
-  const onUp = (next) => {
-    removeEventListener("pointermove", onMove);
-    removeEventListener("pointerup", onUp);
-    removeEventListener("pointercancel", onUp);
+  const listeners = {
+    pointermove: onMove,
+    pointerup: (next) => end(next),
+    pointercancel: () => end(null),
+    keydown: (pressed) => {
+      if (pressed.key !== "Escape") return;
+      pressed.stopPropagation();
+      end(null);
+    },
+  };
+  const end = (next) => {
+    for (const [name, listener] of Object.entries(listeners)) removeEventListener(name, listener, true);
     last = null;
     done(next);
   };
-  addEventListener("pointermove", onMove);
-  addEventListener("pointerup", onUp);
-  addEventListener("pointercancel", onUp);
+  for (const [name, listener] of Object.entries(listeners)) addEventListener(name, listener, true);
 }
 
 function pan(event) {
@@ -87,7 +41,6 @@ function pan(event) {
   const start = [event.clientX - camera.x, event.clientY - camera.y];
   let far = false;
   follow(
-    event,
     (next) => {
       camera.x = next.clientX - start[0];
       camera.y = next.clientY - start[1];
@@ -111,9 +64,9 @@ function dragBlock(event, one) {
   const attached = app.state.view.wires
     .filter((wire) => own.has(bare(wire.source)) || own.has(bare(wire.target)))
     .map((wire) => [wire, [...document.querySelectorAll(`[data-wire="${CSS.escape(`${wire.source}>${wire.target}`)}"]`)]]);
+  const shift = (paths, [dx, dy]) => paths[0]?.parentNode.querySelector(".head").setAttribute("transform", `translate(${dx} ${dy})`);
   let by = [0, 0];
   follow(
-    event,
     (next) => {
       const [x, y] = place(next);
       by = [x - x0, y - y0];
@@ -124,15 +77,19 @@ function dragBlock(event, one) {
         const from = own.has(bare(wire.source)) ? [start[0] + by[0], start[1] + by[1]] : start;
         const to = own.has(bare(wire.target)) ? [end[0] + by[0], end[1] + by[1]] : end;
         for (const each of paths) each.setAttribute("d", path([from, to]));
+        if (to !== end) shift(paths, by);
       }
     },
-    async () => {
+    async (next) => {
       group.classList.remove("dragged");
       const back = () => {
         group.removeAttribute("transform");
-        for (const [wire, paths] of attached) for (const each of paths) each.setAttribute("d", path(wire.points));
+        for (const [wire, paths] of attached) {
+          for (const each of paths) each.setAttribute("d", path(wire.points));
+          shift(paths, [0, 0]);
+        }
       };
-      if (Math.hypot(...by) * camera.k < 4) return back();
+      if (!next || Math.hypot(...by) * camera.k < 4) return back();
       const view = app.state.view;
       const column = valueAt(view.columns, "left", "right", one.x + by[0] + one.width / 2);
       const row = valueAt(view.rows, "top", "bottom", one.y + by[1] + one.height / 2);
@@ -147,24 +104,32 @@ async function dragWire(event, port, outward) {
   event.stopPropagation();
   const [x0, y0] = place(event);
   const line = document.querySelector(".rubber");
-  let over = null;
+  let fits = null;
+  let held = true;
   follow(
-    event,
+    (next) => line.setAttribute("d", path([[x0, y0], place(next)])),
     (next) => {
-      line.setAttribute("d", path([[x0, y0], place(next)]));
-      over = document.elementFromPoint(next.clientX, next.clientY)?.closest("[data-port]") ?? null;
-    },
-    (next) => {
+      held = false;
       line.setAttribute("d", "");
-      over = document.elementFromPoint(next.clientX, next.clientY)?.closest("[data-port]") ?? null;
       light(null);
+      const over = next && document.elementFromPoint(next.clientX, next.clientY)?.closest("[data-port]");
       const other = over?.dataset.port;
-      if (!other || (over.dataset.side === "out") === outward) return;
+      if (!other || other === port) return;
+      const why = (over.dataset.side === "out") === outward ? "a wire goes from an output to an input" : fits?.get(other)?.why;
+      if (why) return refuse(other, why);
       edit([outward ? { op: "wire", source: port, target: other } : { op: "wire", source: other, target: port }]);
     },
   );
   const answer = await live.ask({ kind: "fits", port });
-  if (answer.kind === "fits") light(new Map(answer.ports.map((one) => [one.port, one])), outward);
+  if (answer.kind !== "fits" || !held) return;
+  fits = new Map(answer.ports.map((one) => [one.port, one]));
+  light(fits, outward);
+}
+
+function refuse(port, why) {
+  const [owner, name] = port.split(/\.(?=[^.]*$)/);
+  const problem = { severity: "error", what: why, subject: port, hint: "", place: "", block: owner, port: name };
+  set({ refused: [problem], said: `not wired: ${port} ${why}` });
 }
 
 // Lights up the ports that fit, and says at the others why they do not.
@@ -178,6 +143,13 @@ function light(fits, outward) {
   }
 }
 
+// What is wrong, told by shape, too: a triangle with "!" for a mistake, a circle with "?" for a warning.
+function Mark({ x, y, problem }) {
+  const error = problem.severity === "error";
+  return html`<g class=${`flag ${problem.severity}`}>${error ? html`<path d=${`M${x},${y - 8} l9,15 h-18 z`} />` : html`<circle cx=${x} cy=${y} r="8" />`}
+    <text x=${x} y=${y + (error ? 5.5 : 4)}>${error ? "!" : "?"}</text><title>${problem.what}</title></g>`;
+}
+
 function Port({ owner, port, side, problem }) {
   const name = `${owner.name}.${port.name}`;
   const shape = port.shape === "scalar" ? "" : `, ${port.shape}`;
@@ -188,8 +160,8 @@ function Port({ owner, port, side, problem }) {
     <circle class="hit" cx=${port.x} cy=${port.y} r="8" /><circle class="dot" cx=${port.x} cy=${port.y} r="3.2" />
     ${owner.plain ? null : html`<text x=${port.x + (inward ? 7 : -7)} y=${port.y + 3.5} text-anchor=${inward ? "start" : "end"}>${port.name}</text>`}
     ${port.sign && html`<text class="sign" x=${port.x + 6} y=${port.y + 4}>${port.sign}</text>`}
-    ${problem && html`<path class="mark" d=${`M${port.x - 14},${port.y + 5} l5,-10 l5,10 z`} />`}
     <title>${said}</title>
+    ${problem && html`<${Mark} x=${port.x + (inward ? -15 : 15)} y=${port.y} problem=${problem} />`}
   </g>`;
 }
 
@@ -201,21 +173,23 @@ function Block({ one, problems }) {
   const classes = ["block", chosen && "chosen", one.editable || "inner", found(one) && "found"].filter((each) => typeof each === "string");
   return html`<g class=${classes.join(" ")} data-block=${one.name} data-testid=${`block-${one.name}`} tabindex="0" role="button"
       aria-label=${`${one.name}, ${one.kind}${own ? `, ${own.severity}: ${own.what}` : ""}`} aria-pressed=${chosen}
-      onPointerDown=${(event) => dragBlock(event, one)} onFocus=${() => chosen || select({ block: one.name })}>
+      onPointerDown=${(event) => dragBlock(event, one)} onFocus=${(event) => {
+        if (!chosen) select({ block: one.name });
+        if (event.currentTarget.matches(":focus-visible")) bring(one.name);
+      }}>
     <rect x=${one.x} y=${one.y} width=${one.width} height=${one.height} rx="5" fill=${one.fill} />
     <text class="title" x=${middle} y=${base}>${one.name}</text>
     <text class="kind" x=${middle} y=${base + 14}>${one.kind}</text>
     ${one.inputs.map((port) => html`<${Port} key=${`i${port.name}`} owner=${one} port=${port} side="in" problem=${problems.find((each) => each.port === port.name)} />`)}
     ${one.outputs.map((port) => html`<${Port} key=${`o${port.name}`} owner=${one} port=${port} side="out" problem=${problems.find((each) => each.port === port.name)} />`)}
-    ${own && html`<g class=${`flag ${own.severity}`}>${own.severity === "error"
-      ? html`<path d=${`M${one.x + one.width - 8},${one.y - 10} l9,15 h-18 z`} />`
-      : html`<circle cx=${one.x + one.width - 8} cy=${one.y - 2} r="8" />`}
-      <text x=${one.x + one.width - 8} y=${one.y + 3}>${own.severity === "error" ? "!" : "?"}</text><title>${own.what}</title></g>`}
+    ${own && html`<${Mark} x=${one.x + one.width - 8} y=${one.y - 2} problem=${own} />`}
   </g>`;
 }
 
+const isChosen = (wire) => app.selected?.wire?.[0] === wire.source && app.selected?.wire?.[1] === wire.target;
+
 function Wire({ wire }) {
-  const chosen = app.selected?.wire?.[0] === wire.source && app.selected?.wire?.[1] === wire.target;
+  const chosen = isChosen(wire);
   const key = `${wire.source}>${wire.target}`;
   const [x, y] = wire.points[wire.points.length - 1];
   const choose = (event) => {
@@ -225,11 +199,40 @@ function Wire({ wire }) {
   return html`<g class=${`wire ${chosen ? "chosen" : ""}`} onPointerDown=${(event) => event.stopPropagation()} onClick=${choose}
       data-testid=${`wire-${wire.source}-${wire.target}`}>
     <path class="hit" data-wire=${key} d=${path(wire.points)} /><path class="line" data-wire=${key} d=${path(wire.points)} stroke=${wire.colour} />
-    <path d=${`M${x},${y} l-7,-3.2 v6.4 z`} fill=${wire.colour} />
+    <path class="head" d=${`M${x},${y} l-7,-3.2 v6.4 z`} fill=${wire.colour} />
     ${wire.index_target && html`<text x=${wire.points[0][0] + 6} y=${wire.points[0][1] - 4} fill=${wire.colour}>${wire.index_target}</text>`}
     ${wire.index_source && html`<text x=${x - 9} y=${y - 4} text-anchor="end" fill=${wire.colour}>${wire.index_source}</text>`}
     <title>${`${wire.source} to ${wire.target}, ${wire.unit}, ${wire.shape}`}</title>
   </g>`;
+}
+
+// The picture, made anew only when something in it has changed: other parts of the page are drawn more often.
+const drawn = { state: null, parts: new Map(), problems: new Map() };
+
+function kept(key, of, make) {
+  const last = drawn.parts.get(key);
+  if (last && of.every((one, k) => one === last.of[k])) return last.made;
+  const made = make();
+  drawn.parts.set(key, { of, made });
+  return made;
+}
+
+function picture() {
+  const { state, selected, search } = app;
+  const { view } = state;
+  if (drawn.state !== state) {
+    drawn.state = state;
+    drawn.parts.clear();
+    drawn.problems = Map.groupBy(state.problems.filter((one) => one.block), (one) => one.block);
+  }
+  const wire = (one) => {
+    const key = `${one.source}>${one.target}`;
+    return kept(key, [isChosen(one)], () => html`<${Wire} key=${key} wire=${one} />`);
+  };
+  const block = (one) =>
+    kept(one.name, [selected?.block === one.name, found(one)], () => html`<${Block} key=${one.name} one=${one} problems=${drawn.problems.get(one.name) ?? []} />`);
+  return kept("", [selected, search], () => html`<g>${view.wires.map(wire)}
+    ${view.dots.map(([x, y, colour]) => html`<circle cx=${x} cy=${y} r="2.4" fill=${colour} />`)}${view.blocks.map(block)}</g>`);
 }
 
 export function Sheet() {
@@ -252,13 +255,9 @@ export function Sheet() {
     }
   });
   if (!view) return html`<div class="sheet empty"><p>There is no picture of this file yet: it has mistakes.</p></div>`;
-  const problems = Map.groupBy(app.state.problems.filter((one) => one.block), (one) => one.block);
   return html`<svg class="sheet" data-testid="sheet" ref=${box} onPointerDown=${pan} aria-label=${`Diagram ${view.name}`}>
     <g class="world" transform=${`translate(${camera.x} ${camera.y}) scale(${camera.k})`}>
-      ${view.wires.map((wire) => html`<${Wire} key=${`${wire.source}>${wire.target}`} wire=${wire} />`)}
-      ${view.dots.map(([x, y, colour]) => html`<circle cx=${x} cy=${y} r="2.4" fill=${colour} />`)}
-      ${view.blocks.map((one) => html`<${Block} key=${one.name} one=${one} problems=${problems.get(one.name) ?? []} />`)}
-      <path class="rubber" d="" />
+      ${picture()}<path class="rubber" d="" />
     </g>
   </svg>`;
 }
