@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import tempfile
 from pathlib import Path
 
 import click
@@ -36,7 +38,7 @@ def command(
     """
     from rotorsim.diagram.resolve.resolution import shipped_diagrams
     from rotorsim.serve.guard import new_token
-    from rotorsim.serve.server import serve
+    from rotorsim.serve.server import end_threads, serve
     from rotorsim.serve.session import Session
     from rotorsim.serve.store import DiagramFile
 
@@ -58,11 +60,19 @@ def command(
         if not no_browser:
             import webbrowser
 
-            webbrowser.open(address)
+            # the arguments of a process are seen by all users of a machine: the address goes through a file of this one
+            way.write_text(f'<meta http-equiv="refresh" content="0; url={address}">')
+            webbrowser.open(way.as_uri())
 
+    handle, name = tempfile.mkstemp(prefix="rotorsim-serve-", suffix=".html")  # nobody else may read it
+    os.close(handle)
+    way = Path(name)
     try:
         asyncio.run(serve(session, token, port, ready))
     except OSError as error:
         what = f"port {port} cannot be had: {error.strerror or error}"
         raise RotorsimError(Problem(what, "--port", hint="another one, or --port 0 for one that is free")) from None
+    finally:
+        way.unlink(missing_ok=True)
+    end_threads()
     return 0

@@ -77,13 +77,13 @@ class Outcomes:
         self._count += 1
         number, out = self._count, self._root / str(self._count)
         document = read_document(file).data
+        measured, held = f"./{recording}", f"{recording}_hold_out"  # a name may begin like an option
         given = {
-            "identify": ["identify", str(file), recording, "--out", str(out)],
-            "diagnose": ["diagnose", str(file), recording, "--out", str(out), "--progress"],
-            "beside": ["run", str(file), "--input", recording, "--plot", str(out / "beside.svg")],
+            "identify": ["identify", str(file), measured, "--out", str(out)],
+            "diagnose": ["diagnose", str(file), measured, "--out", str(out), "--progress"],
+            "beside": ["run", str(file), "--input", measured, "--plot", str(out / "beside.svg")],
         }[verb]
-        held = f"{recording}_hold_out"
-        given += ["--hold-out", held] if verb != "beside" and held in known else []
+        given += ["--hold-out", f"./{held}"] if verb != "beside" and held in known else []
         if verb == "beside":
             out.mkdir(parents=True)
         command = [sys.executable, "-m", "rotorsim", *given, *(["--trust-blocks"] if trusted else [])]

@@ -5,8 +5,12 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import os
 import signal
 import socket
+import sys
+import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
@@ -22,6 +26,7 @@ from rotorsim.serve.guard import REPORT_HEADERS, Guarded, foreign, is_token
 from rotorsim.serve.session import Session
 
 LOOKED_AT = 0.25  # s, between looks at the file
+THREADS_END = 0.5  # s, that threads are given at the end
 TOKEN_WITHIN = 10.0  # s, in which a page has to send its token
 WRONG_TOKEN = 4403  # code with which a connection without the token is closed
 LARGEST_MESSAGE = 25_000_000  # bytes: a diagram has 20 MB at most
@@ -397,3 +402,15 @@ async def serve(session: Session, token: str, port: int, ready: Callable[[int], 
     pages.close()
     server.stop()
     await server.close_all_connections()
+
+
+def end_threads() -> None:
+    """End the process where a thread still computes what cannot be stopped: nobody waits for it any more."""
+    begun = time.monotonic()
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join(max(THREADS_END - (time.monotonic() - begun), 0.0))
+            if thread.is_alive():
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(0)

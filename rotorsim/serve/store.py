@@ -20,7 +20,7 @@ from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.files import write_atomically
 from rotorsim.model.load import load
 from rotorsim.serve.changes import NOTHING, Change, differences, with_changes
-from rotorsim.serve.operations import Document, Editing, Operation, applied
+from rotorsim.serve.operations import Document, Editing, Operation, applied, free_name
 from rotorsim.serve.view import cells_of
 
 MOST_VERSIONS = 2000  # that are kept, so that an edit of an older one can be put into the present one
@@ -161,8 +161,8 @@ class DiagramFile:
         text = format_document(new)
         if not self._backed_up and self._content is not None:
             stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
-            backup = self.path.with_name(f"{self.path.name}.{stamp}.backup")
-            write_atomically(backup, self._content)
+            name = free_name(f"{self.path.name}.{stamp}", {file.stem for file in self.path.parent.glob("*.backup")})
+            write_atomically(self.path.with_name(f"{name}.backup"), self._content)
             self._backed_up = True
         if _bytes(self.path) != self._content:
             self.refresh()

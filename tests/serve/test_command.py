@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 import os
 import re
 import signal
@@ -14,8 +16,10 @@ from urllib.request import Request, urlopen
 
 import pytest
 from click.testing import CliRunner
+from tornado.websocket import websocket_connect
 
 from rotorsim.cli.app import rotorsim
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
 
 ADDRESS = re.compile(r"http://127\.0\.0\.1:(\d+)/#([A-Za-z0-9_-]{43})\n")
 
@@ -41,6 +45,59 @@ def test_the_address_is_printed_and_ctrl_c_ends_everything(mine: Path) -> None:
     assert "Traceback" not in said
     with pytest.raises(ProcessLookupError):
         os.killpg(process.pid, 0)  # nothing is left of its session
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
+def test_ctrl_c_does_not_wait_for_what_is_computed(tmp_path: Path) -> None:
+    (tmp_path / "rotor.json").write_bytes(shipped_diagrams()["drawn_rotor"].read_bytes())
+    command = [sys.executable, "-m", "rotorsim", "serve", "rotor.json", "--no-browser", "--port", "0", "--json"]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    assert process.stdout is not None
+    lines = "".join(iter(lambda: process.stdout.readline() if process.stdout else "", "}\n"))
+    address = re.search(r"http://([0-9.:]+)/#([A-Za-z0-9_-]+)", lines)
+    assert address is not None
+
+    async def talking() -> None:
+        connection = await websocket_connect(f"ws://{address[1]}/api/live", max_message_size=50_000_000)
+        await connection.write_message(json.dumps({"token": address[2]}))
+        await connection.read_message()
+        await connection.write_message(json.dumps({"id": 1, "kind": "analyse", "what": "campbell"}))
+        await asyncio.sleep(1.0)  # it takes some seconds
+        process.send_signal(signal.SIGINT)
+        begun = time.monotonic()
+        while process.poll() is None and time.monotonic() - begun < 20:
+            await asyncio.sleep(0.02)
+        assert time.monotonic() - begun < 2.0
+        while await connection.read_message() is not None:
+            pass
+        connection.close()
+        await asyncio.sleep(0.05)
+
+    asyncio.run(talking())
+    process.stdout.close()
+    assert process.returncode == 0
+
+
+def test_the_browser_is_not_given_the_token_as_an_argument(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which all users of a machine can read."""
+    opened: list[str] = []
+
+    def browse(url: str) -> bool:
+        opened.append(url)
+        file = Path(url.removeprefix("file://"))
+        assert file.stat().st_mode & 0o077 == 0
+        assert re.search(r'url=http://127\.0\.0\.1:\d+/#[A-Za-z0-9_-]{43}">', file.read_text())
+        os.kill(os.getpid(), signal.SIGINT)
+        return True
+
+    monkeypatch.chdir(mine.parent)
+    monkeypatch.setattr("webbrowser.open", browse)
+    result = CliRunner().invoke(rotorsim, ["serve", "mine.json", "--port", "0"])
+    assert result.exit_code == 0, result.output
+    [url] = opened
+    assert url.startswith("file://")
+    assert "#" not in url
+    assert not Path(url.removeprefix("file://")).exists()
 
 
 def test_wrong_arguments_are_refused_in_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
