@@ -65,6 +65,14 @@ class Wire:
     place: Place = field(default_factory=Place)
 
 
+@dataclass
+class SubPorts:
+    """What the ports of a sub-diagram stand for inside."""
+
+    inputs: dict[str, list[Endpoint]] = field(default_factory=dict)
+    outputs: dict[str, Endpoint] = field(default_factory=dict)
+
+
 class _Values(dict[str, np.ndarray]):
     """Values by name that cannot be changed: what was compiled from them would not follow."""
 
@@ -144,6 +152,7 @@ class Diagram:
     warnings: what is odd but no mistake. free: what ``identify`` leaves to be estimated. measured: what a recording
     calls the first signal is the second one here, behind the model of a sensor. trusted: whether the code that it
     brings along may run (its FMUs). structural: diagram parameter -> an option that follows it, and is compiled in.
+    sub_ports: sub-diagram by its flat name -> what its ports stand for inside.
     """
 
     name: str
@@ -163,6 +172,7 @@ class Diagram:
     measured: Mapping[Endpoint, Endpoint] = field(default_factory=dict)
     trusted: bool = False
     structural: Mapping[str, str] = field(default_factory=dict)
+    sub_ports: Mapping[str, SubPorts] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", _fixed(self.parameters))

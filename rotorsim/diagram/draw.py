@@ -16,6 +16,7 @@ FILL = {
     "controller": "#fdeedb",
     "excitation": "#fbe4dd",
     "clock": "#efe7f5",
+    "diagram": "#e8ebee",
     "elementary": "#f4f4f2",
 }
 
@@ -44,8 +45,8 @@ def draw_svg(
         colour = dict.fromkeys(colour, BESIDE) | {key: shade for key, (shade, _) in marked.items()}
     lines: list[str] = []
     written: dict[Key, str] = {}
-    for drawn in sorted(sheet.wires, key=lambda drawn: (drawn.wire.target.block, drawn.wire.target.port) in marked):
-        source, target = drawn.wire.source, drawn.wire.target
+    for drawn in sorted(sheet.wires, key=lambda drawn: (drawn.target.block, drawn.target.port) in marked):
+        source, target = drawn.source, drawn.target
         into = target.block, target.port
         mark = into if into in marked else drawn.signal
         shade = marked[into][0] if into in marked else colour[drawn.signal]
@@ -103,7 +104,7 @@ def _dot(point: tuple[float, float], colour: str) -> str:
 
 def _box(box: Box, frame: str | None) -> str:
     node = box.node
-    fill = FILL.get(node.block.category, FILL["elementary"])
+    fill = FILL.get(box.category, FILL["elementary"])
     stroke, line = (frame, 3.0) if frame else ("#444444", 1.1)
     middle = box.x + (box.width + 8 if box.marks else box.width) / 2
     base = box.y + (box.height / 2 - 3 if box.plain else 16)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import accumulate
 
 import networkx as nx
 
-from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Wire
+from rotorsim.diagram.diagram import Diagram, Endpoint, Node
+from rotorsim.diagram.parts import Part, closed_parts, inside, wires_outside
 
 LANE, MARGIN, HEAD, PORT = 7.0, 22.0, 38.0, 15.0  # px: wire spacing, free space, box title, one port
 ABOVE_ROWS = 34.0  # px: above the first row, for a title
@@ -19,9 +20,9 @@ Point = tuple[float, float]
 
 @dataclass
 class Box:
-    """A block on the sheet: its ports that are wired, its grid cell, and then its place in px."""
+    """A block, or a closed sub-diagram, on the sheet: its ports, its grid cell, and then its place in px."""
 
-    node: Node
+    node: Node | Part
     inputs: list[str]
     outputs: list[str]
     column: int = 0
@@ -47,13 +48,20 @@ class Box:
     @property
     def kind(self) -> str:
         """The type, with the function that a block of several functions computes."""
+        if isinstance(self.node, Part):
+            return self.node.kind
         function = getattr(self.node.block.option, "function", None)
         return f"{self.node.block.type_name}: {function}" if isinstance(function, str) else self.node.block.type_name
 
     @property
+    def category(self) -> str:
+        """The category of the block, "diagram" of a sub-diagram."""
+        return "diagram" if isinstance(self.node, Part) else self.node.block.category
+
+    @property
     def marks(self) -> dict[str, str]:
         """Input port -> its sign, where the letters of an option are signs (sum, product)."""
-        if not self.plain or len(self.inputs) < 2:
+        if isinstance(self.node, Part) or not self.plain or len(self.inputs) < 2:
             return {}
         block = self.node.block
         groups = [(d, getattr(block.option, d.many)) for d in block.inputs.values() if d.many]
@@ -97,9 +105,10 @@ class _Grid:
 
 @dataclass(frozen=True)
 class DrawnWire:
-    """A wire on the sheet: the signal it carries, (block, port), and its corners."""
+    """A wire on the sheet: its ends, the signal it carries, (block, port), and its corners."""
 
-    wire: Wire
+    source: Endpoint
+    target: Endpoint
     signal: Key
     points: list[Point]
 
@@ -126,23 +135,26 @@ class Sheet:
     rows: list[Cell]
 
 
-def sheet_of(diagram: Diagram, *, every_port: bool = False) -> Sheet:
+def sheet_of(diagram: Diagram, *, every_port: bool = False, opened: Collection[str] | None = None) -> Sheet:
     """Return where everything stands: blocks where the document's ``layout`` says, else in layers from left to right.
 
-    every_port: ports that are not wired are shown, too. Wires of one output share a line and branch at dots.
+    every_port: ports that are not wired are shown, too. opened: sub-diagrams whose blocks are shown, the others are one
+    block each; default: all. Wires of one output share a line and branch at dots.
     """
-    boxes = _boxes(diagram, every_port)
-    columns_at, rows_at = _place(diagram, boxes)
+    parts = closed_parts(diagram, diagram.sub_ports if opened is None else opened)
+    seen = wires_outside(diagram, parts)
+    boxes = _boxes(diagram, parts, seen, every_port)
+    columns_at, rows_at = _place(diagram, boxes, seen)
     columns, rows = max(len(columns_at), 1), max((box.row for box in boxes.values()), default=0) + 1
     channels = [_Lanes() for _ in range(columns + 1)]  # gap k lies left of column k
     streets = [_Lanes() for _ in range(rows + 1)]  # gap k lies above row k
-    routes = [_route(boxes, wire.source, wire.target, channels, streets) for wire in diagram.wires]
+    routes = [_route(boxes, source, target, channels, streets) for source, target in seen]
     grid = _measure(boxes, columns, rows, channels, streets)
     wires: list[DrawnWire] = []
     corners: dict[Key, list[list[Point]]] = {}
-    for wire, (signal, steps, source, target) in zip(diagram.wires, routes, strict=True):
+    for signal, steps, source, target in routes:
         points = _points(boxes, signal, steps, source, target, channels, streets, grid.left, grid.top)
-        wires.append(DrawnWire(wire, signal, points))
+        wires.append(DrawnWire(source, target, signal, points))
         corners.setdefault(signal, []).append(points[1:-1])
     dots = [(point, signal) for signal, points in corners.items() for point in _branches(points)]
     columns_of = [Cell(*one) for one in zip(columns_at, grid.right, grid.left[1:], strict=False)]
@@ -156,14 +168,21 @@ def _filled(values: list[float], count: int) -> list[float]:
     return values + [last + k + 1 for k in range(count - len(values))]
 
 
-def _boxes(diagram: Diagram, every_port: bool) -> dict[str, Box]:
-    wired_in = {(wire.target.block, wire.target.port) for wire in diagram.wires}
-    wired_out = {(wire.source.block, wire.source.port) for wire in diagram.wires}
-    boxes = {}
+def _boxes(
+    diagram: Diagram, parts: Mapping[str, Part], seen: Iterable[tuple[Endpoint, Endpoint]], every_port: bool
+) -> dict[str, Box]:
+    wires = list(seen)
+    wired_in = {(target.block, target.port) for _, target in wires}
+    wired_out = {(source.block, source.port) for source, _ in wires}
+    shown: dict[str, Node | Part] = {}
     for name, node in diagram.nodes.items():
-        inputs = [port for port in node.inputs if every_port or (name, port) in wired_in]
-        outputs = [port for port in node.outputs if every_port or (name, port) in wired_out]
-        box = Box(node, inputs, outputs)
+        part = inside(name, parts)
+        shown.setdefault(part or name, parts[part] if part else node)
+    boxes = {}
+    for name, one in shown.items():
+        inputs = [port for port in one.inputs if every_port or (name, port) in wired_in]
+        outputs = [port for port in one.outputs if every_port or (name, port) in wired_out]
+        box = Box(one, inputs, outputs)
         count = max(len(inputs), len(outputs), 1)
         ports = 0.0 if box.plain else 6.2 * (max(map(len, inputs), default=0) + max(map(len, outputs), default=0)) + 26
         room = 12.0 if box.marks else 0.0
@@ -173,12 +192,14 @@ def _boxes(diagram: Diagram, every_port: bool) -> dict[str, Box]:
     return boxes
 
 
-def _place(diagram: Diagram, boxes: dict[str, Box]) -> tuple[list[float], list[float]]:
+def _place(
+    diagram: Diagram, boxes: dict[str, Box], seen: Iterable[tuple[Endpoint, Endpoint]]
+) -> tuple[list[float], list[float]]:
     """Give every block a cell of its own, in the order of the layout's columns and rows; return what these are."""
     layout = diagram.document.get("layout", {})
     given = {n: (float(layout[n][0]), float(layout[n][1])) for n in boxes if isinstance(layout.get(n), list | tuple)}
     if len(given) < len(boxes):
-        given = _layered(diagram)
+        given = _layered(seen, boxes)
     columns = {x: k for k, x in enumerate(sorted({x for x, _ in given.values()}))}
     rows = {y: k for k, y in enumerate(sorted({y for _, y in given.values()}))}
     taken: set[tuple[int, int]] = set()
@@ -191,11 +212,11 @@ def _place(diagram: Diagram, boxes: dict[str, Box]) -> tuple[list[float], list[f
     return list(columns), list(rows)
 
 
-def _layered(diagram: Diagram) -> dict[str, tuple[float, float]]:
+def _layered(seen: Iterable[tuple[Endpoint, Endpoint]], boxes: Iterable[str]) -> dict[str, tuple[float, float]]:
     """Return columns by longest path once the feedback wires are left out, rows in order."""
     graph = nx.DiGraph()
-    graph.add_nodes_from(diagram.nodes)
-    for source, target in dict.fromkeys((w.source.block, w.target.block) for w in diagram.wires):
+    graph.add_nodes_from(boxes)
+    for source, target in dict.fromkeys((source.block, target.block) for source, target in seen):
         if source != target and not nx.has_path(graph, target, source):
             graph.add_edge(source, target)
     layers = enumerate(nx.topological_generations(graph))

@@ -17,6 +17,7 @@ from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.diagram.resolve.values import ValueProblem, numeric, option_value
+from rotorsim.diagram.sheet import sheet_of
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.files import write_atomically
 from rotorsim.model.load import load
@@ -38,6 +39,7 @@ class Session:
     file: DiagramFile | None = None
     trusted: bool = False
     read_only: bool = False
+    opened: set[str] = field(default_factory=set)  # sub-diagrams whose blocks are shown
     runs: Runs = field(default_factory=Runs)
     outcomes: Outcomes = field(default_factory=Outcomes)
 
@@ -46,7 +48,7 @@ class Session:
         if self.file is None:
             return {"kind": "state", "file": None, "read_only": self.read_only}
         state = self.file.state
-        names = [] if state.diagram is None else list(state.diagram.nodes)
+        names = [] if state.diagram is None else [*state.diagram.nodes, *state.diagram.sub_ports]
         return {
             "kind": "state",
             "file": self.file.path.name,
@@ -54,7 +56,7 @@ class Session:
             "read_only": self.read_only,
             "valid": state.valid,
             "problems": [problem_of_block(problem, names) for problem in state.problems],
-            "view": None if state.diagram is None else view_of(state.diagram),
+            "view": None if state.diagram is None else view_of(state.diagram, self.opened),
         }
 
     def palette(self) -> Data:
@@ -99,6 +101,7 @@ class Session:
         asked: dict[str, Callable[[Mapping[str, Any]], Data]] = {
             "edit": self._edit,
             "fits": self._fits,
+            "part": self._part,
             "types": self._types,
             "value": self._value,
         }
@@ -149,6 +152,16 @@ class Session:
         found = [name for name in fitting_types(document, block, file.registry) if name != entry.get("type")]
         return {"kind": "types", "types": found}
 
+    def _part(self, message: Mapping[str, Any]) -> Data:
+        """Show the blocks of a sub-diagram, or one block for all of them, on every page."""
+        name = str(message.get("block"))
+        known = self._diagram().sub_ports
+        if name not in known:
+            raise RotorsimError(Problem(f"no sub-diagram '{name}'", hint=near_miss(name, known)))
+        self.opened = {one for one in self.opened if one != name and not one.startswith(f"{name}/")}
+        self.opened |= {name} if message.get("open") is True else set()
+        return {"kind": "part"}
+
     def _value(self, message: Mapping[str, Any]) -> Data:
         """Return what is wrong with a value that is being typed."""
         diagram, name, value = self._diagram(), str(message.get("name")), message.get("value")
@@ -171,17 +184,17 @@ class Session:
 
     def _fits(self, message: Mapping[str, Any]) -> Data:
         """Return the other ends that a wire from or to a port may have, and why others may not."""
-        diagram = self._diagram()
+        sheet = sheet_of(self._diagram(), every_port=True, opened=self.opened)
         end = endpoint(message.get("port"))
-        node = None if end is None else diagram.nodes.get(end.block)
+        node = None if end is None or end.block not in sheet.boxes else sheet.boxes[end.block].node
         if end is None or node is None or end.port not in {**node.inputs, **node.outputs}:
             raise RotorsimError(Problem("no such port", str(message.get("port"))))
         outward = end.port in node.outputs
         own = node.outputs[end.port] if outward else node.inputs[end.port]
-        taken = {(wire.target.block, wire.target.port) for wire in diagram.wires}
+        taken = {(wire.target.block, wire.target.port) for wire in sheet.wires}
         found = []
-        for other in diagram.nodes.values():
-            for port in (other.inputs if outward else other.outputs).values():
+        for other in sheet.boxes.values():
+            for port in (other.node.inputs if outward else other.node.outputs).values():
                 source, target = (own, port) if outward else (port, own)
                 why = _misfit(source, target, (target.block, target.name) in taken)
                 found.append({"port": str(port), "ok": not why, "why": why})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from rotorsim.block import Block
 from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Port
 from rotorsim.diagram.draw import FILL, colours_of
+from rotorsim.diagram.parts import Part
 from rotorsim.diagram.sheet import Box, Cell, DrawnWire, Sheet, sheet_of
 from rotorsim.errors import Problem
 from rotorsim.report.text.blocks import block_data
@@ -19,11 +20,14 @@ MOST_ENTRIES_WRITTEN = 12  # entries of a value that are written out
 Data = dict[str, Any]
 
 
-def view_of(diagram: Diagram) -> Data:
-    """Return the picture of a diagram: blocks with ports and values, wires with corners, the grid they stand on."""
-    sheet = sheet_of(diagram, every_port=True)
+def view_of(diagram: Diagram, opened: Collection[str] = ()) -> Data:
+    """Return the picture of a diagram: blocks with ports and values, wires with corners, the grid they stand on.
+
+    opened: sub-diagrams whose blocks are shown; the others are one block each.
+    """
+    sheet = sheet_of(diagram, every_port=True, opened=opened)
     colour = colours_of(sheet)
-    wired = {(end.block, end.port) for wire in diagram.wires for end in (wire.source, wire.target)}
+    wired = {(end.block, end.port) for wire in sheet.wires for end in (wire.source, wire.target)}
     document = diagram.document
     return {
         "name": diagram.name,
@@ -33,16 +37,16 @@ def view_of(diagram: Diagram) -> Data:
         "columns": [_cell(cell, "left", "right") for cell in sheet.columns],
         "rows": [_cell(cell, "top", "bottom") for cell in sheet.rows],
         "blocks": [_block(box, document.get("blocks", {}), wired) for box in sheet.boxes.values()],
-        "wires": [_wire(diagram, drawn, colour[drawn.signal]) for drawn in sheet.wires],
+        "wires": [_wire(sheet, drawn, colour[drawn.signal]) for drawn in sheet.wires],
         "dots": [[round(x, 1), round(y, 1), colour[signal]] for (x, y), signal in sheet.dots],
         "parameters": _parameters(diagram),
         "record": [str(signal) for signal in document.get("record", [])],
     }
 
 
-def cells_of(diagram: Diagram) -> dict[str, tuple[float, float]]:
+def cells_of(diagram: Diagram, opened: Collection[str] = ()) -> dict[str, tuple[float, float]]:
     """Return [column, row] of every block where the picture stands it."""
-    sheet: Sheet = sheet_of(diagram, every_port=True)
+    sheet = sheet_of(diagram, every_port=True, opened=opened)
     return {name: (sheet.columns[box.column].value, sheet.rows[box.row].value) for name, box in sheet.boxes.items()}
 
 
@@ -54,15 +58,11 @@ def _block(box: Box, written: Mapping[str, Any], wired: set[tuple[str, str]]) ->
     node = box.node
     entry = written.get(node.name)
     own = entry.get("parameters", {}) if isinstance(entry, Mapping) else {}
-    cls = type(node.block)
-    summary = (cls.__doc__ or "").strip().partition("\n")[0]
     return {
         "name": node.name,
-        "type": cls.type_name,
         "kind": box.kind,
-        "category": cls.category,
-        "summary": summary,
-        "fill": FILL.get(cls.category, FILL["elementary"]),
+        "category": box.category,
+        "fill": FILL.get(box.category, FILL["elementary"]),
         "x": round(box.x, 1),
         "y": round(box.y, 1),
         "width": round(box.width, 1),
@@ -71,9 +71,28 @@ def _block(box: Box, written: Mapping[str, Any], wired: set[tuple[str, str]]) ->
         "plain": box.plain,
         "inputs": [_port(box, node.inputs[name], wired, is_input=True) for name in box.inputs],
         "outputs": [_port(box, node.outputs[name], wired, is_input=False) for name in box.outputs],
+        **(_of_part(own) if isinstance(node, Part) else _of_node(node, own)),
+    }
+
+
+def _of_node(node: Node, own: Mapping[str, Any]) -> Data:
+    cls = type(node.block)
+    return {
+        "type": cls.type_name,
+        "summary": (cls.__doc__ or "").strip().partition("\n")[0],
         "parameters": [_parameter(node, name, own) for name in node.values if name in cls.parameters],
         "options": [_option(node, name, own) for name in cls.options],
+        "part": node.name.rpartition("/")[0],
+        "closed": False,
     }
+
+
+def _of_part(own: Mapping[str, Any]) -> Data:
+    """Return what is said of a closed sub-diagram: the values that are given to it here."""
+    plain = {"follows": "", "unit": "any", "doc": "a parameter of the sub-diagram", "required": False}
+    given = [{"name": name, "value": str(value), "written": value, **plain} for name, value in own.items()]
+    summary = "A sub-diagram: it has a file of its own."
+    return {"type": "diagram", "summary": summary, "parameters": given, "options": [], "part": "", "closed": True}
 
 
 def _port(box: Box, port: Port, wired: set[tuple[str, str]], *, is_input: bool) -> Data:
@@ -138,16 +157,16 @@ def _option(node: Node, name: str, written: Mapping[str, Any]) -> Data:
     }
 
 
-def _wire(diagram: Diagram, drawn: DrawnWire, colour: str) -> Data:
-    source, target = drawn.wire.source, drawn.wire.target
-    port = diagram.nodes[source.block].outputs[source.port]
+def _wire(sheet: Sheet, drawn: DrawnWire, colour: str) -> Data:
+    source, target = drawn.source, drawn.target
+    port = sheet.boxes[source.block].node.outputs[source.port]
     shape = port.shape[len(source.index) :]
     return {
         "source": str(source),
         "target": str(target),
         "points": [[round(x, 1), round(y, 1)] for x, y in drawn.points],
         "colour": colour,
-        "unit": _unit(port.unit or diagram.nodes[target.block].inputs[target.port].unit),
+        "unit": _unit(port.unit or sheet.boxes[target.block].node.inputs[target.port].unit),
         "shape": shape_text(shape),
         "index_source": _index(source),
         "index_target": _index(target),

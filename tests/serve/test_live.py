@@ -348,7 +348,27 @@ def test_a_sub_diagram_that_changes_on_disk_is_what_runs(tmp_path: Path) -> None
 
         async def talking() -> None:
             page = await opened(at)
-            assert [one["editable"] for one in page.state["view"]["blocks"]] == [True, False]
+            part = page.state["view"]["blocks"][1]
+            assert (part["name"], part["kind"], part["closed"], part["editable"]) == (
+                "inner",
+                "diagram: inner.json",
+                True,
+                True,
+            )
+            assert [port["name"] for port in part["inputs"] + part["outputs"]] == ["u", "y"]
+            ends = [(wire["source"], wire["target"]) for wire in page.state["view"]["wires"]]
+            assert ends == [("one.output", "inner.u")]
+            fits = await page.ask(kind="fits", port="inner.u")
+            assert {one["port"]: one["ok"] for one in fits["ports"]} == {"one.output": False, "inner.y": False}
+            assert (await page.edit({"op": "move", "block": "inner", "to": [3, 0]}))["kind"] == "done"
+            assert (await page.ask(kind="part", block="inner", open=True))["kind"] == "part"
+            assert (await page.ask(kind="part", block="outer", open=True))["problems"][0]["what"] == (
+                "no sub-diagram 'outer'"
+            )
+            assert [one["name"] for one in page.state["view"]["blocks"]] == ["one", "inner/gain"]
+            assert page.state["view"]["blocks"][1]["part"] == "inner"
+            assert page.state["view"]["wires"][0]["target"] == "inner/gain.input"
+            assert (await page.ask(kind="part", block="inner", open=False))["kind"] == "part"
             assert (await page.ask(kind="run"))["values"][0][-1] == 2.0
             inner["blocks"]["gain"]["parameters"]["gain"] = 33.0
             (tmp_path / "inner.json").write_text(json.dumps(inner))

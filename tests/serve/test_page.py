@@ -322,6 +322,28 @@ def test_a_block_is_copied_to_another_diagram_and_the_picture_saved(
         assert document_of(other)["blocks"]["unbalance2"]["parameters"]["mass"] == "2 kg"
 
 
+def test_a_sub_diagram_is_opened_and_closed(tmp_path: Path, open_page: Open) -> None:
+    inner = {
+        "blocks": {"gain": {"type": "gain"}},
+        "ports": {"inputs": {"u": "gain.input"}, "outputs": {"y": "gain.output"}},
+    }
+    outer = {
+        "blocks": {"rotor": {"type": "constant"}, "inner": {"type": "diagram", "file": "inner.json"}},
+        "wires": [["rotor.output", "inner.u"]],
+    }
+    for name, document in (("inner", inner), ("outer", outer)):
+        (tmp_path / f"{name}.json").write_text(json.dumps({"schema_version": 1, **document}))
+    with served(Session(tmp_path, DiagramFile(tmp_path / "outer.json"))) as at:
+        page = open_page(at)
+        by(page, "block-inner").focus()
+        page.keyboard.press("o")
+        expect(by(page, "block-inner/gain")).to_be_visible()
+        by(page, "block-inner/gain").click()
+        by(page, "close-part").click()
+        expect(by(page, "block-inner")).to_be_visible()
+        assert by(page, "block-inner/gain").count() == 0
+
+
 def test_read_only_has_nothing_to_edit_with(mine: Path, open_page: Open) -> None:
     with served(Session(mine.parent, DiagramFile(mine, read_only=True), read_only=True)) as at:
         page = open_page(at)

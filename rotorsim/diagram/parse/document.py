@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from rotorsim.diagram.diagram import Endpoint
+from rotorsim.diagram.diagram import Endpoint, SubPorts
 from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.errors import Place, Problems
 
@@ -100,14 +100,6 @@ class FlatDocument:
     broken: set[str] = field(default_factory=set)
     sub_ports: dict[str, SubPorts] = field(default_factory=dict)
     problems: Problems = field(default_factory=Problems)
-
-
-@dataclass
-class SubPorts:
-    """What the ports of a sub-diagram stand for inside."""
-
-    inputs: dict[str, list[Endpoint]] = field(default_factory=dict)
-    outputs: dict[str, Endpoint] = field(default_factory=dict)
 
 
 def endpoint(text: Any, prefix: str = "") -> Endpoint | None:

@@ -11,17 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rotorsim.diagram.diagram import Endpoint
-from rotorsim.diagram.parse.document import (
-    NAME_PATTERN,
-    FlatDocument,
-    Parameter,
-    RawBlock,
-    RawWire,
-    Scope,
-    SubPorts,
-    endpoint,
-)
+from rotorsim.diagram.diagram import Endpoint, SubPorts
+from rotorsim.diagram.parse.document import NAME_PATTERN, FlatDocument, Parameter, RawBlock, RawWire, Scope, endpoint
 from rotorsim.diagram.parse.form import checked_form, is_block
 from rotorsim.diagram.parse.source import Source, read_document
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss

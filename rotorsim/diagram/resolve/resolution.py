@@ -136,6 +136,7 @@ def resolve(
         measured=measured,
         trusted=trust_blocks,
         structural=drafter.structural,
+        sub_ports=flat.sub_ports,
     )
 
 

@@ -121,7 +121,9 @@ function OfBlock({ one }) {
       return item.choices ? html`<${Choice} key=${name} name=${name} item=${item} />` : html`<${Field} key=${name} name=${name} label=${item.name} item=${item} />`;
     });
   return html`<h2>${one.name}</h2><p class="kind">${one.kind}</p><p>${one.summary}</p>
-    ${one.editable ? null : html`<p>It is part of a sub-diagram, which has a file of its own.</p>`}
+    ${one.closed ? html`<p class="actions"><button data-testid="open-part" onClick=${() => live.ask({ kind: "part", block: one.name, open: true })}>Open</button></p>` : null}
+    ${one.part ? html`<p>It is a part of the sub-diagram ${one.part}, which has a file of its own.</p>
+      <p class="actions"><button data-testid="close-part" onClick=${() => live.ask({ kind: "part", block: one.part, open: false })}>Close ${one.part}</button></p>` : null}
     ${!readOnly() && one.editable
       ? html`<p class="actions"><button data-testid="rename" onClick=${() => set({ dialog: { kind: "rename", block: one.name } })}>Rename</button>
           <button data-testid="swap" onClick=${() => set({ dialog: { kind: "swap", block: one.name } })}>Swap</button>

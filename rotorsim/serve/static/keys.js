@@ -11,6 +11,7 @@ export const KEYS = [
   ["Enter", "to its values"],
   ["w", "wire one of its ports"],
   ["a", "add a block"],
+  ["o", "open a sub-diagram, or close the one that a block is in"],
   ["d", "duplicate"],
   ["Ctrl+C, Ctrl+V", "copy the block; paste it, into another diagram too"],
   ["r", "rename"],
@@ -48,6 +49,7 @@ export function onKey(event) {
     actions.Delete = actions.Backspace = () => app.selected && remove();
   }
   if (one?.editable && !readOnly()) {
+    actions.o = () => document.querySelector("[data-testid=open-part], [data-testid=close-part]")?.click();
     actions.d = duplicate;
     actions.r = () => set({ dialog: { kind: "rename", block: one.name } });
     actions.s = () => set({ dialog: { kind: "swap", block: one.name } });

@@ -1,0 +1,76 @@
+"""Sub-diagrams as one block each: their ports, and the wires outside of them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from rotorsim.diagram.diagram import Diagram, Endpoint, Port
+
+
+@dataclass(frozen=True)
+class Part:
+    """A sub-diagram as a block: its flat name, what it is, and its ports, with shapes and units as inside."""
+
+    name: str
+    kind: str
+    inputs: Mapping[str, Port]
+    outputs: Mapping[str, Port]
+
+
+def closed_parts(diagram: Diagram, opened: Collection[str]) -> dict[str, Part]:
+    """Return the outermost sub-diagrams that are not opened."""
+    shut = [name for name in diagram.sub_ports if name not in opened]
+    outermost = [name for name in shut if not any(name.startswith(f"{other}/") for other in shut)]
+    return {name: _part(diagram, name) for name in outermost}
+
+
+def _part(diagram: Diagram, name: str) -> Part:
+    ports = diagram.sub_ports[name]
+    inputs = {port: _port(diagram, name, port, ends[0], True) for port, ends in ports.inputs.items() if ends}
+    outputs = {port: _port(diagram, name, port, end, False) for port, end in ports.outputs.items()}
+    entry = diagram.document.get("blocks", {}).get(name, {})
+    kind = f"diagram: {entry['file']}" if isinstance(entry.get("file"), str) else "diagram"
+    return Part(name, kind, _there(inputs), _there(outputs))
+
+
+def _there(ports: Mapping[str, Port | None]) -> dict[str, Port]:
+    return {name: port for name, port in ports.items() if port is not None}
+
+
+def _port(diagram: Diagram, part: str, name: str, end: Endpoint, is_input: bool) -> Port | None:
+    node = diagram.nodes.get(end.block)
+    inner = None if node is None else (node.inputs if is_input else node.outputs).get(end.port)
+    return inner and Port(part, name, inner.shape[len(end.index) :], inner.unit, inner.declaration)
+
+
+def inside(block: str, parts: Collection[str]) -> str:
+    """Return the closed sub-diagram that a block is in, "" for none."""
+    return next((part for part in parts if block.startswith(f"{part}/")), "")
+
+
+def wires_outside(diagram: Diagram, parts: Mapping[str, Part]) -> list[tuple[Endpoint, Endpoint]]:
+    """Return source and target of every wire that is seen: ends inside a closed sub-diagram are those of its ports."""
+    found = []
+    for wire in diagram.wires:
+        within = inside(wire.source.block, parts), inside(wire.target.block, parts)
+        if within[0] and within[0] == within[1]:
+            continue
+        source = _outer(diagram, within[0], wire.source, is_input=False)
+        target = _outer(diagram, within[1], wire.target, is_input=True)
+        if source is not None and target is not None:
+            found.append((source, target))
+    return list(dict.fromkeys(found))
+
+
+def _outer(diagram: Diagram, part: str, end: Endpoint, *, is_input: bool) -> Endpoint | None:
+    """Return an end as it is seen from outside of a sub-diagram; None where no port leads there."""
+    if not part:
+        return end
+    ports = diagram.sub_ports[part]
+    named = [*ports.inputs.items()] if is_input else [(name, [one]) for name, one in ports.outputs.items()]
+    for name, ends in named:
+        for one in ends:
+            if (one.block, one.port) == (end.block, end.port) and end.index[: len(one.index)] == one.index:
+                return Endpoint(part, name, end.index[len(one.index) :])
+    return None
