@@ -26,6 +26,7 @@ from rotorsim.serve.guard import REPORT_HEADERS, Guarded, foreign, is_token
 from rotorsim.serve.session import Session
 
 LOOKED_AT = 0.25  # s, between looks at the file
+CHANGING = ("edit", "part")  # messages after which the state may be another
 THREADS_END = 0.5  # s, that threads are given at the end
 TOKEN_WITHIN = 10.0  # s, in which a page has to send its token
 WRONG_TOKEN = 4403  # code with which a connection without the token is closed
@@ -298,7 +299,8 @@ class _Live(WebSocketHandler):
             except Exception as error:  # the page must not wait for ever
                 found = {**self.pages.session.refused(_unexpected(error)), "id": data.get("id")}
             self.send(found)
-            self.pages.tell_all()
+            if data.get("kind") in CHANGING:
+                self.pages.tell_all()
 
     async def _work(self, data: dict[str, Any]) -> None:
         self.pages.look()  # what runs is what stands in the file now
@@ -323,6 +325,7 @@ class _Live(WebSocketHandler):
             self.running.pop(number, None)
 
     async def _find(self, data: dict[str, Any]) -> None:
+        self.pages.look()
         number = data.get("id")
 
         def progress(share: float, text: str) -> None:
