@@ -22,6 +22,7 @@ ZONES = ((3.0, "A"), (4.0, "B"), (5.0, "C"))  # ISO 14839-3:2006, table 1: 9.5 d
 LARGEST_FREQUENCY = 2000.0  # Hz; ISO 14839-3 looks up to three times the rated speed or 2 kHz, the larger
 LOWEST_FREQUENCY = 0.01  # Hz
 LARGEST_GAIN = 1e4  # factor of the loop gain up to which a limit of stability is looked for, and down to its inverse
+NEAR_LIMIT = (1e-3, 1e-10)  # a limit of the gain is found to, first where G_o says it exactly, then by itself
 GAIN_STEP = 1.1  # from one factor tried to the next; 0.8 dB
 WELL_ABOVE = 10.0  # times the largest pole, where every loop has fallen
 
@@ -240,31 +241,35 @@ def _gain_limit(loop: Loop, k: int, step: float) -> tuple[float, float]:
     for gain in step ** np.arange(1, int(np.log(LARGEST_GAIN) / abs(np.log(step))) + 1):
         if not loop.is_stable(float(gain), k):
             outside = float(gain)
-            while abs(outside / inside - 1) > 1e-10:
-                middle = float(np.sqrt(inside * outside))
-                inside, outside = (middle, outside) if loop.is_stable(middle, k) else (inside, middle)
-            return _refined(loop, k, outside, loop.growing_frequency(outside, k))
+            for near in NEAR_LIMIT:
+                while abs(outside / inside - 1) > near:
+                    middle = float(np.sqrt(inside * outside))
+                    inside, outside = (middle, outside) if loop.is_stable(middle, k) else (inside, middle)
+                frequency = loop.growing_frequency(outside, k)
+                if (exact := _exact_limit(loop, k, outside, frequency)) is not None:
+                    return exact
+            return outside, frequency
         inside = float(gain)
     return (np.inf if step > 1 else 0.0), np.nan
 
 
-def _refined(loop: Loop, k: int, gain: float, frequency: float) -> tuple[float, float]:
-    """Return a limit of the gain, and its frequency, at which G_o is real: G_o = -1 / gain.
+def _exact_limit(loop: Loop, k: int, gain: float, frequency: float) -> tuple[float, float] | None:
+    """Return a limit of the gain, and its frequency, at which G_o is real: G_o = -1 / gain; None where that is none.
 
     Growth is told from rounding only a little beyond the limit. Not where samples make images, or nothing oscillates.
     """
     if loop.is_sampled or frequency == 0.0:
-        return gain, frequency
+        return None
 
     def open_loop(f: float) -> complex:
         return complex(open_loop_of(loop.sensitivity(f)[0, k, k]))
 
     ends = frequency / 1.1, frequency * 1.1
     if open_loop(ends[0]).imag * open_loop(ends[1]).imag >= 0:
-        return gain, frequency
+        return None
     exact = float(brentq(lambda f: open_loop(f).imag, *ends, rtol=1e-14))
     refined = -1 / open_loop(exact).real
-    return (refined, exact) if abs(refined / gain - 1) < 0.01 else (gain, frequency)
+    return (refined, exact) if abs(refined / gain - 1) < 0.01 else None
 
 
 def _roots(hz: np.ndarray, values: np.ndarray, function: Callable[[float], float]) -> list[float]:
