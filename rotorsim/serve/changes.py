@@ -83,7 +83,11 @@ def changes_of(data: Iterable[Any]) -> list[Change]:
         if not isinstance(path, list) or not path or not all(isinstance(step, str) for step in path):
             raise RotorsimError(Problem("is no change of a document", "edit"))
         place = one.get("place", 0)
-        if not isinstance(place, int) or len(path) > 4 or (path[0] in LISTS and len(path) != 1 + _steps(path[0])):
+        if (
+            not isinstance(place, int)
+            or len(path) > 4
+            or (path[0] in LISTS and len(path) not in (1, 1 + _steps(path[0])))
+        ):
             raise RotorsimError(Problem("is no change of a document", "edit"))
         found.append(Change(tuple(path), one.get("before", NOTHING), one.get("after", NOTHING), place))
     return found
@@ -102,7 +106,7 @@ def differences(old: Document, new: Document) -> list[Change]:
         if key in BY_ENTRY and all(isinstance(one, dict) or one is NOTHING for one in (before, after)):
             found += _of_object((key,), {} if before is NOTHING else before, {} if after is NOTHING else after)
         elif key in LISTS and _is_listed(key, before) and _is_listed(key, after):
-            found += _of_list(key, [] if before is NOTHING else before, [] if after is NOTHING else after)
+            found += _of_list(key, before, after)
         elif not _same(before, after):
             found.append(Change((key,), before, after, _place(new if after is not NOTHING else old, key)))
     return sorted(found, key=lambda change: (change.after is not NOTHING, change.before is NOTHING))
@@ -146,9 +150,7 @@ def _of_block(path: Path, before: Document, after: Document) -> list[Change]:
 
 
 def _is_listed(key: str, value: Any) -> bool:
-    """Return whether a list holds entries of the known form, each once."""
-    if value is NOTHING:
-        return True
+    """Return whether a list is there, and holds entries of the known form, each once."""
     if not isinstance(value, list):
         return False
     entries = [_entry(key, one) for one in value]
@@ -191,7 +193,7 @@ def with_changes(document: Document, changes: Iterable[Change], *, mine: bool = 
 
 
 def _value(document: Document, path: Path) -> Any:
-    if path[0] in LISTS:
+    if path[0] in LISTS and len(path) > 1:
         return True if any(_entry(path[0], one) == path[1:] for one in document.get(path[0], [])) else NOTHING
     value: Any = document
     for step in path:
@@ -202,7 +204,7 @@ def _value(document: Document, path: Path) -> Any:
 def _put(document: Document, change: Change) -> None:
     """Write, insert or remove one entry; objects that hold nothing any more go, lists stay."""
     key = change.path[0]
-    if key in LISTS:
+    if key in LISTS and len(change.path) > 1:
         _put_in_list(document, change)
         return
     holders = [document]

@@ -23,12 +23,13 @@ BEHIND_NAME = re.compile(r"\d+$")
 class Editing:
     """What operations need to know. cells: block -> [column, row] of those that the picture places by itself.
 
-    mine: patches write over what was changed meanwhile.
+    mine: patches write over what was changed meanwhile. recorded: what is recorded where the document does not say.
     """
 
     registry: Registry
     cells: Mapping[str, Sequence[float]]
     mine: bool = False
+    recorded: Sequence[str] = ()
 
 
 def applied(document: Document, operations: Iterable[Operation], editing: Editing) -> Document:
@@ -199,8 +200,11 @@ def _trimmed(document: Document) -> Document:
 
 
 def _is_of(text: Any, block: str) -> bool:
-    """Return whether a wire end, a signal or the name of a parameter is of a block."""
-    return isinstance(text, str) and text.partition(".")[0].strip() == block and "." in text
+    """Return whether a wire end, a signal or the name of a parameter is of a block, or inside of a sub-diagram."""
+    if not isinstance(text, str) or "." not in text:
+        return False
+    owner = text.partition(".")[0].strip()
+    return owner == block or owner.startswith(f"{block}/")
 
 
 def _rename(document: Document, operation: Operation, editing: Editing) -> Document:
@@ -231,7 +235,7 @@ def _rename(document: Document, operation: Operation, editing: Editing) -> Docum
 
 
 def _record(document: Document, operation: Operation, editing: Editing) -> Document:
-    signal, record = operation["signal"], document.setdefault("record", [])
+    signal, record = operation["signal"], document.setdefault("record", [*editing.recorded])
     if operation["on"] and signal not in record:
         record.append(signal)
     elif not operation["on"] and signal in record:

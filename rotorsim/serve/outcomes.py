@@ -17,8 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from rotorsim.diagram.diff import diff
+from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.diagram.parse.source import read_document
 from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.files import write_atomically
 from rotorsim.serve.changes import differences
 
 RECORDING_FILE = "recording.json"
@@ -26,6 +28,7 @@ DEEPEST_RECORDING = 3  # folders below the diagram's in which recordings are loo
 MOST_LISTED, MOST_OUTCOMES = 200, 20
 FINDING_VERBS = ("identify", "diagnose", "beside")
 FIGURE_SUFFIXES = (".png", ".svg")
+PYTHON = (sys.executable, "-P")  # files of the folder that are called as modules are none
 _SHARE = re.compile(r"(\d{1,3})%\|")
 Data = dict[str, Any]
 
@@ -59,10 +62,17 @@ class Outcomes:
             shutil.rmtree(self._root, ignore_errors=True)
 
     async def find(
-        self, file: Path, verb: str, recording: str, trusted: bool, progress: Callable[[float, str], None]
+        self,
+        file: Path,
+        document: Data,
+        verb: str,
+        recording: str,
+        trusted: bool,
+        progress: Callable[[float, str], None],
     ) -> Data:
         """Run a verb on a diagram and a recording below its folder; return its words, its files, and what it changes.
 
+        document: what stood in the file when it was asked for; it is what the verb reads, whatever is saved meanwhile.
         Raises RotorsimError for unknown verbs and recordings, and with what the verb says where it fails. Cancelled, it
         ends the process.
         """
@@ -76,18 +86,23 @@ class Outcomes:
             self._root = Path(tempfile.mkdtemp(prefix="rotorsim-serve-"))
         self._count += 1
         number, out = self._count, self._root / str(self._count)
-        document = read_document(file).data
         measured, held = f"./{recording}", f"{recording}_hold_out"  # a name may begin like an option
         given = {
-            "identify": ["identify", str(file), measured, "--out", str(out)],
-            "diagnose": ["diagnose", str(file), measured, "--out", str(out), "--progress"],
-            "beside": ["run", str(file), "--input", measured, "--plot", str(out / "beside.svg")],
+            "identify": ["identify", measured, "--out", str(out)],
+            "diagnose": ["diagnose", measured, "--out", str(out), "--progress"],
+            "beside": ["run", "--input", measured, "--plot", str(out / "beside.svg")],
         }[verb]
         given += ["--hold-out", f"./{held}"] if verb != "beside" and held in known else []
         if verb == "beside":
             out.mkdir(parents=True)
-        command = [sys.executable, "-m", "rotorsim", *given, *(["--trust-blocks"] if trusted else [])]
-        code, said, complaints = await _run(command, file.parent, progress)
+        snapshot = file.with_name(f".{file.stem}.{secrets.token_hex(8)}.json")  # beside it: it may name other files
+        write_atomically(snapshot, format_document({"name": file.stem, **document}))
+        command = [*PYTHON, "-m", "rotorsim", given[0], str(snapshot), *given[1:]]
+        try:
+            ended = await _run([*command, *(["--trust-blocks"] if trusted else [])], file.parent, progress)
+        finally:
+            snapshot.unlink(missing_ok=True)
+        code, said, complaints = ended
         if not out.is_dir() or not any(out.iterdir()):
             raise RotorsimError(*_problems(complaints, verb), exit_code=code or 1)
         found = Outcome(out)
@@ -106,7 +121,9 @@ def _repair(document: Data, repaired: Path) -> Data:
     if not repaired.exists():
         return {"changes": [], "words": []}
     new = read_document(repaired).data
-    new = {**new, **{key: document[key] for key in ("name", "$schema", "description") if key in document}}
+    for key in ("name", "$schema", "description"):
+        new = {one: value for one, value in new.items() if one != key or key in document}
+        new |= {key: document[key]} if key in document else {}
     changes = [change.as_data() for change in differences(document, new)]
     return {"changes": changes, "words": [str(one) for one in diff(document, new)]}
 
@@ -116,6 +133,7 @@ async def _run(command: list[str], folder: Path, progress: Callable[[float, str]
     process = await asyncio.create_subprocess_exec(
         *command,
         cwd=folder,
+        env=os.environ | {"PYTHONSAFEPATH": "1"},
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,

@@ -279,7 +279,7 @@ class _Live(WebSocketHandler):
             self.pages.look()
             self.pages.open.add(self)
             self.send(self.pages.session.state())
-        elif isinstance(data, dict):
+        elif isinstance(data, dict) and isinstance(data.get("id"), int):
             self._answer(data)
 
     def _answer(self, data: dict[str, Any]) -> None:
@@ -396,7 +396,10 @@ async def serve(session: Session, token: str, port: int, ready: Callable[[int], 
 
     async def watch() -> None:
         while not done.is_set():
-            pages.look()
+            try:
+                pages.look()
+            except Exception as error:  # the next look may be better
+                print(f"rotorsim serve: {type(error).__name__}: {error}", file=sys.stderr)
             await asyncio.sleep(LOOKED_AT)
 
     watching = asyncio.ensure_future(watch())

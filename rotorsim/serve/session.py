@@ -205,14 +205,15 @@ class Session:
     def work(self, message: Mapping[str, Any], stopped: Event, progress: Callable[[float], None]) -> Data:
         """Return the result of a run or an analysis. Raises RotorsimError."""
         file = self._open()
-        if not file.state.valid:
+        state = file.state  # once: another thread looks at the file
+        if not state.valid:
             raise RotorsimError(Problem("the file on disk has mistakes", hint="correct them there"), *_errors(file))
         settings = message.get("set") or {}
         if not isinstance(settings, Mapping):
             raise RotorsimError(Problem("'set' is an object of names and values", "run"))
-        document, folder = file.state.document or {}, file.path.parent
+        document, folder = state.document or {}, file.path.parent
 
-        key = f"{file.state.sha} {file.state.parts}"
+        key = f"{state.sha} {state.parts}"
 
         def source() -> Diagram:
             return load(document, folder=folder, trust_blocks=self.trusted)
@@ -225,12 +226,12 @@ class Session:
     async def find(self, message: Mapping[str, Any], progress: Callable[[float, str], None]) -> Data:
         """Return what a verb finds in a recording. Raises RotorsimError."""
         file = self._open()
-        sha = file.state.sha
-        if not file.state.valid:
+        state = file.state
+        if not state.valid or state.document is None:
             raise RotorsimError(Problem("the file on disk has mistakes", hint="correct them there"), *_errors(file))
         verb, recording = str(message.get("verb")), str(message.get("recording"))
-        found = await self.outcomes.find(file.path, verb, recording, self.trusted, progress)
-        return {"kind": "found", "sha": sha, **found}
+        found = await self.outcomes.find(file.path, state.document, verb, recording, self.trusted, progress)
+        return {"kind": "found", "sha": state.sha, **found}
 
 
 def _errors(file: DiagramFile) -> list[Problem]:

@@ -24,7 +24,7 @@ from rotorsim.serve.operations import Document, Editing, Operation, applied, fre
 from rotorsim.serve.view import cells_of
 
 MOST_VERSIONS = 2000  # that are kept, so that an edit of an older one can be put into the present one
-REBASED = ("rename", "patch")  # bring along what was changed in a block, or find out by themselves what fits
+REBASED = ("rename", "patch", "add")  # bring along what was changed in a block, or find by themselves what fits
 CHANGED_MEANWHILE = "the file was changed while it was being written; nothing was written"
 
 
@@ -64,10 +64,12 @@ class DiagramFile:
     _versions: OrderedDict[str, Document] = field(default_factory=OrderedDict)
     _backed_up: bool = False
     _content: bytes | None = None
+    _start: bytes | None = None  # what was there when it was opened
 
     def __post_init__(self) -> None:
         self.path = Path(self.path).resolve()
         self.state = State("", None, None, False)
+        self._start = _bytes(self.path)
         self.refresh()
 
     def refresh(self) -> bool:
@@ -75,8 +77,6 @@ class DiagramFile:
         content = _bytes(self.path)
         if content == self._content and self.state.sha and self.state.parts == self._parts(self.state.document):
             return False
-        if content == self._content:
-            forget_user_blocks()  # one of their files may be another
         self._content = content
         sha = _sha(content)
         try:
@@ -85,9 +85,11 @@ class DiagramFile:
             self.state = State(sha, None, self.state.diagram, False, self._named(error.problems))
             return True
         self._keep(sha, document)
+        parts = self._parts(document)  # before they are read: what is saved meanwhile is seen the next time
+        if parts != self.state.parts:
+            forget_user_blocks()
         diagram, problems = self._read(str(self.path))
         known = self.state.diagram if diagram is None else diagram
-        parts = self._parts(document)
         self.state = State(sha, document, known, diagram is not None, self._named(problems), parts)
         return True
 
@@ -100,9 +102,10 @@ class DiagramFile:
     def edit(self, base: str, operations: Sequence[Operation], *, mine: bool = False) -> Edited:
         """Make operations on the version with the hash ``base`` in the file as it is now, and write it.
 
-        What others changed meanwhile stays. mine: what both sides changed is written over. Raises ConflictError for
-        that otherwise, and RotorsimError for what cannot be done, would leave a diagram that cannot be drawn, or a file
-        whose own mistakes would be written over; nothing is written then.
+        What others changed meanwhile stays. mine: what both sides changed is written over, as long as the file is the
+        one with that hash: nobody has seen another. Raises ConflictError for that otherwise, and RotorsimError for what
+        cannot be done, would leave a diagram that cannot be drawn, or a file whose own mistakes would be written over;
+        nothing is written then.
         """
         if self.read_only:
             raise RotorsimError(Problem("nothing is written: --read-only", str(self.path.name)))
@@ -114,11 +117,11 @@ class DiagramFile:
         old = self._versions.get(base)
         if old is None:
             raise RotorsimError(Problem("the version that was edited is not known any more", hint="load the page anew"))
-        editing = replace(self._editing(), mine=mine)
+        editing = replace(self._editing(), mine=mine and base == self.state.sha)
         if base == self.state.sha or all(operation.get("op") in REBASED for operation in operations):
             new = applied(now, operations, editing)
         else:
-            new = with_changes(now, differences(old, applied(old, operations, editing)), mine=mine)
+            new = with_changes(now, differences(old, applied(old, operations, editing)))
         self._check(new)
         undo, redo = differences(new, now), differences(now, new)
         self._write(new)
@@ -126,14 +129,18 @@ class DiagramFile:
 
     def _editing(self) -> Editing:
         diagram = self.state.diagram
-        return Editing(self.registry, {} if diagram is None else cells_of(diagram))
+        if diagram is None:
+            return Editing(self.registry, {})
+        return Editing(self.registry, cells_of(diagram), recorded=[str(end) for end in diagram.record])
 
     @property
     def registry(self) -> Registry:
         """The block types that the diagram can use."""
         document = self.state.document or {}
         folders = document.get("block_folders", []) if self.trusted else []
-        return Registry([self.path.parent / folder for folder in folders if isinstance(folder, str)])
+        own = self.path.parent
+        inside = [own / name for name in folders if isinstance(name, str) and _is_below(own / name, own)]
+        return Registry(inside)
 
     def _read(self, source: str | Mapping[str, Any]) -> tuple[Diagram | None, list[Problem]]:
         """Return a diagram that may be unfinished, None where it cannot be drawn; and what is wrong with it."""
@@ -159,10 +166,11 @@ class DiagramFile:
 
     def _write(self, new: Document) -> None:
         text = format_document(new)
-        if not self._backed_up and self._content is not None:
+        if not self._backed_up and self._start is not None:
             stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
             name = free_name(f"{self.path.name}.{stamp}", {file.stem for file in self.path.parent.glob("*.backup")})
-            write_atomically(self.path.with_name(f"{name}.backup"), self._content)
+            mode = self.path.stat().st_mode & 0o777
+            write_atomically(self.path.with_name(f"{name}.backup"), self._start, mode=mode)
             self._backed_up = True
         if _bytes(self.path) != self._content:
             self.refresh()
@@ -194,7 +202,7 @@ def _stamp(document: Any, folder: Path, found: dict[str, tuple[str, int, int]]) 
     files = [(folder / one["file"], one.get("type") == "diagram") for one in named]
     folders = document.get("block_folders", []) if isinstance(document, dict) else []
     for name in folders if isinstance(folders, list) else []:
-        files += [(file, False) for file in sorted((folder / str(name)).glob("*.py"))]
+        files += [(file, False) for file in _python_files(folder / str(name))]
     for file, is_diagram in files:
         if str(file) in found:
             continue
@@ -209,6 +217,20 @@ def _stamp(document: Any, folder: Path, found: dict[str, tuple[str, int, int]]) 
                 _stamp(read_document(file).data, file.parent, found)
             except RotorsimError:  # its mistakes are said where it is resolved
                 continue
+
+
+def _python_files(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.glob("*.py"))
+    except (OSError, ValueError):  # a name that is too long, or none
+        return []
+
+
+def _is_below(path: Path, folder: Path) -> bool:
+    try:
+        return path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):
+        return False
 
 
 def _patches(changes: list[Change]) -> list[Operation]:

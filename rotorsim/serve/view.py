@@ -40,7 +40,7 @@ def view_of(diagram: Diagram, opened: Collection[str] = ()) -> Data:
         "wires": [_wire(sheet, drawn, colour[drawn.signal]) for drawn in sheet.wires],
         "dots": [[round(x, 1), round(y, 1), colour[signal]] for (x, y), signal in sheet.dots],
         "parameters": _parameters(diagram),
-        "record": [str(signal) for signal in document.get("record", [])],
+        "record": [str(signal) for signal in document.get("record", diagram.record)],
     }
 
 

@@ -287,6 +287,21 @@ def test_recordings_below_the_folder_are_found_and_looked_into(at: Served, mine:
     talk(talking)
 
 
+def test_files_of_the_folder_are_no_modules(at: Served, mine: Path) -> None:
+    """FAULT: a click.py beside the diagram was run by the verbs, without --trust-blocks."""
+    (mine.parent / "click.py").write_text("open('ran', 'w')")
+    (mine.parent / "bench").mkdir()
+    (mine.parent / "bench" / "recording.json").write_text("{}")
+
+    async def talking() -> None:
+        page = await opened(at)
+        refused = await page.ask(kind="find", verb="beside", recording="bench")
+        assert refused["kind"] == "refused"
+
+    talk(talking)
+    assert sorted(file.name for file in mine.parent.iterdir()) == ["bench", "click.py", "mine.json"]
+
+
 def test_what_is_looked_for_is_stopped_with_its_processes(at: Served, mine: Path) -> None:
     made = 'record mine.json --speeds "900 rpm:60 rpm:3000 rpm" --settle --noise "0.5 %" --out bench'
     with chdir(mine.parent):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 from pathlib import Path
 from typing import Any
@@ -141,7 +142,12 @@ def test_the_same_entry_changed_on_both_sides_waits_for_a_choice(opened: Diagram
     [conflict] = caught.value.conflicts
     assert (conflict.name, conflict.mine, conflict.theirs) == ("blocks.rotor.parameters.mass", "4 kg", "3 kg")
     assert opened.path.read_bytes() == before
-    opened.edit(base, one("rotor.mass", "4 kg"), mine=True)
+    seen = opened.state.sha
+    opened.path.write_text(opened.path.read_text().replace('"3 kg"', '"7 kg"'))
+    with pytest.raises(ConflictError) as caught:  # a third value, which nobody has seen
+        opened.edit(seen, one("rotor.mass", "4 kg"), mine=True)
+    assert [one.theirs for one in caught.value.conflicts] == ["7 kg"]
+    opened.edit(opened.state.sha, one("rotor.mass", "4 kg"), mine=True)
     assert document_of(opened.path)["blocks"]["rotor"]["parameters"]["mass"] == "4 kg"
 
 
@@ -268,7 +274,9 @@ def check_step(draw: random.Random, file: DiagramFile, page: dict[str, Any]) -> 
     old = json.loads(before)
     kinds = {operation["op"] for operation in operations}
     changed = {change.path for change in differences(old, now)}
-    if not kinds & {"rename", "patch"}:
+    if kinds == {"add"}:  # finds a name that is free now
+        assert [path[0] for path in changed if path[0] != "layout"] == ["blocks"]
+    elif not kinds & {"rename", "patch"}:
         wanted = differences(page["document"], applied(page["document"], operations, editing))
         own = {change.path for change in wanted if change.path[0] != "layout"}  # all blocks get a place with the first
         assert {path for path in changed if path[0] != "layout"} <= own  # nobody else's entries
@@ -319,3 +327,63 @@ def test_no_edit_is_lost_in_long_sessions(mine: Path, seed: int) -> None:
         everything(mine, seed, 40)
     finally:
         mine.write_text(start)
+
+
+def test_two_pages_that_add_a_block_of_one_type_get_two(opened: DiagramFile) -> None:
+    base, add = opened.state.sha, [{"op": "add", "type": "gain", "at": [0, 9]}]
+    opened.edit(base, add)
+    assert opened.edit(base, add).undo[0]["changes"]
+    assert {"gain", "gain2"} <= document_of(opened.path)["blocks"].keys()
+
+
+def test_what_is_recorded_without_being_named_stays_so(mine: Path) -> None:
+    """Without the key everything is recorded; with an empty list nothing."""
+    document = document_of(mine)
+    del document["record"]
+    mine.write_text(format_document(document))
+    file, before = DiagramFile(mine), mine.read_bytes()
+    done = file.edit(file.state.sha, [{"op": "record", "signal": "amb.force", "on": False}])
+    record = document_of(mine)["record"]
+    assert "rotor.displacement" in record
+    assert "amb.force" not in record
+    file.edit(file.state.sha, done.undo)
+    assert mine.read_bytes() == before
+
+
+def test_lists_with_an_entry_twice_are_undone_too(mine: Path) -> None:
+    document = document_of(mine)
+    document["wires"].append(["crack.force", "rotor.force"])  # twice as much of it
+    mine.write_text(format_document(document))
+    file, before = DiagramFile(mine), mine.read_bytes()
+    done = file.edit(file.state.sha, [{"op": "cut", "source": "amb.force", "target": "rotor.force"}])
+    file.edit(file.state.sha, done.undo)
+    assert mine.read_bytes() == before
+
+
+def test_a_name_that_is_too_long_is_a_problem_and_no_traceback(mine: Path) -> None:
+    document = document_of(mine) | {"block_folders": ["a" * 300]}
+    mine.write_text(format_document(document))
+    assert not DiagramFile(mine, trusted=True).state.valid
+
+
+def test_code_outside_of_the_folder_never_runs(mine: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    outside = tmp_path_factory.mktemp("outside")
+    (outside / "evil.py").write_text(f"open({str(outside / 'ran')!r}, 'w')")
+    folder = mine.parent / ".." / outside.name
+    document = document_of(mine) | {"block_folders": [f"../{outside.name}", str(outside), str(folder)]}
+    mine.write_text(format_document(document))
+    DiagramFile(mine, trusted=True).registry.all_types()
+    assert not (outside / "ran").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="modes of POSIX")
+def test_the_backup_is_what_was_there_at_the_start_and_as_private(mine: Path) -> None:
+    start = mine.read_bytes()
+    mine.chmod(0o600)
+    file = DiagramFile(mine)
+    mine.write_text(mine.read_text().replace('"2 kg"', '"2.5 kg"'))
+    file.refresh()
+    file.edit(file.state.sha, one("crack.sag", "20 um"))
+    [backup] = mine.parent.glob("*.backup")
+    assert backup.read_bytes() == start
+    assert backup.stat().st_mode & 0o777 == 0o600

@@ -8,7 +8,8 @@ const text = (value) => (value === null || value === undefined ? "" : typeof val
 // What a text means: JSON where it is some (numbers, lists, true), else the text, such as "2 kg".
 export function meant(given) {
   try {
-    return JSON.parse(given);
+    const value = JSON.parse(given);
+    return JSON.stringify(value).includes("null") ? given.trim() : value; // null, and numbers that JSON cannot hold
   } catch {
     return given.trim();
   }
