@@ -24,6 +24,7 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.serve.guard import REPORT_HEADERS, Guarded, foreign, is_token
 from rotorsim.serve.session import Session
+from rotorsim.serve.view import problem_of_block
 
 LOOKED_AT = 0.25  # s, between looks at the file
 CHANGING = ("edit", "part")  # messages after which the state may be another
@@ -141,6 +142,17 @@ class _Api(Guarded):
         self.set_header("Content-Type", "application/json; charset=utf-8")
         self.finish(_text(data))
 
+    def send_picture(self, make: Callable[[], tuple[bytes, str]]) -> None:
+        """Send a picture that is made here, with its suffix; 404 with the reason where it cannot be."""
+        try:
+            content, suffix = make()
+        except RotorsimError as error:
+            self.set_status(404)
+            self.answer({"kind": "refused", "problems": [problem_of_block(one, ()) for one in error.problems]})
+            return
+        self.set_header("Content-Type", "image/svg+xml" if suffix == ".svg" else "image/png")
+        self.finish(content)
+
 
 class _Lists(_Api):
     """Types of blocks, shipped diagrams, and recordings: methods of the session."""
@@ -160,14 +172,7 @@ class _Picture(_Api):
         self.session = session
 
     def get(self) -> None:
-        try:
-            made = self.session.picture()
-        except RotorsimError as error:
-            self.set_status(404)
-            self.answer(self.session.refused(error))
-            return
-        self.set_header("Content-Type", "image/svg+xml")
-        self.finish(made)
+        self.send_picture(lambda: (self.session.picture().encode(), ".svg"))
 
 
 class _OutcomeFile(_Api):
@@ -177,17 +182,14 @@ class _OutcomeFile(_Api):
         self.session = session
 
     def get(self, number: str, name: str) -> None:
-        found = self.session.outcomes.kept.get(int(number))
-        try:
+        def read() -> tuple[bytes, str]:
+            found = self.session.outcomes.kept.get(int(number))
             if found is None or name.endswith(".html"):
                 raise RotorsimError(Problem("there is no such file", name))
             file = found.file(name)
-        except RotorsimError as error:
-            self.set_status(404)
-            self.answer(self.session.refused(error))
-            return
-        self.set_header("Content-Type", "image/svg+xml" if file.suffix == ".svg" else "image/png")
-        self.finish(file.read_bytes())
+            return file.read_bytes(), file.suffix
+
+        self.send_picture(read)
 
 
 class _Report(Guarded):

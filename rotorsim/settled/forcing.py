@@ -21,7 +21,9 @@ from rotorsim.settled.equations import (
 )
 
 ZERO_COEFFICIENT = 1e-14  # coefficients below this part of the largest are rounding, not motion
-NOISE_MARGIN = 4.0  # times the coefficients where a series has ended: at lower orders, too, these are rounding
+NOISE_MARGIN = (
+    4.0  # times the last coefficients of a series that has ended, below `RESOLVED`: as small ones are rounding
+)
 LARGEST_HARMONIC = 255  # kept by default
 PROBE = 0.3819660112501051  # off-grid instant (part of a period) at which the series is checked
 CROSSING_INTERVALS = 720  # intervals per period in which a crossing is looked for

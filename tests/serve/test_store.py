@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from rotorsim import RotorsimError
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.diagram.resolve.resolution import resolve
 from rotorsim.serve.changes import ConflictError, differences, with_changes
-from rotorsim.serve.operations import Document, Editing, Operation, applied
+from rotorsim.serve.operations import KEYS_NEEDED, OPERATIONS, Document, Editing, Operation, applied
 from rotorsim.serve.store import DiagramFile
 
 
@@ -387,3 +388,12 @@ def test_the_backup_is_what_was_there_at_the_start_and_as_private(mine: Path) ->
     [backup] = mine.parent.glob("*.backup")
     assert backup.read_bytes() == start
     assert backup.stat().st_mode & 0o777 == 0o600
+
+
+def test_the_page_of_the_documents_names_every_operation_and_what_it_needs() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "serve.md").read_text(encoding="utf-8")
+    table = text.partition("| operation `op` | with |")[2].partition("\n\n")[0]
+    stated = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", table, re.MULTILINE))
+    assert stated.keys() == OPERATIONS.keys() == KEYS_NEEDED.keys()
+    for operation, needed in KEYS_NEEDED.items():
+        assert all(f"`{key}`" in stated[operation] for key in needed), operation

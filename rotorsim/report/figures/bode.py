@@ -60,7 +60,7 @@ def bode_figure(measured: Curve, simulated: Sequence[Curve], title: str, unit: s
         left.axhline(noise * factor * np.sqrt(2.0), color=INK, linewidth=0.8, linestyle="--", label="noise, rms")
         amplitude.set_ylabel(f"amplitude [{of_amplitude(unit)}]")
         phase.set_ylabel("phase lag [deg]")
-        left.set_ylabel(f"|measured - simulated| [{unit}]")
+        left.set_ylabel(f"|measured - simulated| [{of_amplitude(unit)}]")
         left.set_xlabel("speed [rpm]")
         handles = amplitude.get_legend_handles_labels()
         more = left.get_legend_handles_labels()
