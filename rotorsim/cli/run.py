@@ -240,6 +240,7 @@ def _silent(fraction: float) -> None:
 
 def _report(model: Model, result: Result, wanted: Output) -> int:
     """Write, draw and print a result; return the exit code."""
+    from rotorsim.report.amplitudes import shown_amplitudes
     from rotorsim.report.text import run as text
     from rotorsim.simulation.sinks import write_sinks
 
@@ -271,7 +272,8 @@ def _report(model: Model, result: Result, wanted: Output) -> int:
     harmonics = [item for item in text.harmonics_of(result, angle) if item.signal.partition("[")[0] in ports]
     motion = text.motion(result, angle, harmonics, text.settled_motion(model, result, angle, harmonics))
     run_ups = text.run_ups(result, angle, wanted.shown)
-    tables = [text.peaks_table(asked, angle), text.motion_line(motion), *(item.table() for item in harmonics)]
+    harmonic_tables = [item.table(shown_amplitudes()) for item in harmonics]
+    tables = [text.peaks_table(asked, angle), text.motion_line(motion), *harmonic_tables]
     tables.append(text.run_up_table(run_ups))
     show(
         wanted.as_json,

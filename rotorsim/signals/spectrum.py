@@ -11,6 +11,7 @@ import numpy as np
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.recording import ANGLE
 from rotorsim.simulation.result import Result
+from rotorsim.units import AMPLITUDE_KINDS
 
 DEFAULT_ORDERS = (0, 1, 2, 3, 5, 7, -1, -3, -5)  # thesis Table 2-2
 LEAST_SAMPLES = 2 * max(DEFAULT_ORDERS)  # a turn: with fewer the highest of them appears as a lower one
@@ -81,12 +82,16 @@ class Harmonics:
         """Return the signal that they make up at shaft angles (n,): sum over k of R_k e^{i k theta}."""
         return np.asarray(np.exp(1j * np.outer(theta, self.orders)) @ self.values)
 
-    def table(self) -> str:
-        """Return the table of amplitudes and phases as text, as thesis Table 2-2."""
+    def table(self, shown: str = "0-peak") -> str:
+        """Return the table of amplitudes and phases as text, as thesis Table 2-2; the mean, of order 0, stays.
+
+        shown: "0-peak", "peak-peak" or "rms".
+        """
         scale, unit = (1e6, "um") if self.unit == "m" else (1.0, self.unit or "1")
-        lines = [f"{self.signal}", f"{'order':>6}  {f'amplitude [{unit}, 0-peak]':>26}  {'phase [deg]':>12}"]
+        lines = [f"{self.signal}", f"{'order':>6}  {f'amplitude [{unit}, {shown}]':>26}  {'phase [deg]':>12}"]
         for order, value in zip(self.orders, self.values, strict=True):
-            lines.append(f"{order:>6g}  {abs(value) * scale:>26.6g}  {np.degrees(np.angle(value)):>12.2f}")
+            size = abs(value) * scale * (AMPLITUDE_KINDS[shown] if order else 1.0)
+            lines.append(f"{order:>6g}  {size:>26.6g}  {np.degrees(np.angle(value)):>12.2f}")
         return "\n".join(lines)
 
 
