@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -110,7 +109,7 @@ def command(
     rotorsim cosim jeffcott --part controller --step "0.1 ms" --master iterative
     rotorsim cosim jeffcott --part controller --step "20 us" --order 1 --rate controller=5
     """
-    from rotorsim.cosim.cosimulation import cosimulate_diagram
+    from rotorsim.cosim.cosimulation import cosimulate_diagram, recorded
 
     width = quantity(step, "s", "--step")
     end = None if stop is None else quantity(stop, "s", "--stop")
@@ -144,7 +143,7 @@ def command(
     if plot and len(result.time) > 1:
         from rotorsim.report.figures.run import overview, save_figure
 
-        save_figure(overview(_recorded(loaded, result)), plot)
+        save_figure(overview(recorded(loaded, result)), plot)
         note(f"written: {plot}")
     made = dict(result.provenance)
     show_problems(said_by_fmus(made, "" if log else "--log FILE keeps all that it says"))
@@ -199,19 +198,12 @@ def _logging(file: str | None) -> Iterator[Hear | None]:
 
 def _peaks(diagram: Diagram, result: Result) -> list[str]:
     """Return peak and rms of the recorded signals as a table, after an empty line."""
+    from rotorsim.cosim.cosimulation import recorded
     from rotorsim.report.text.run import peaks_table
 
     clock = clock_of(diagram)
-    text = peaks_table(_recorded(diagram, result), f"{clock}.theta" if clock else "")
+    text = peaks_table(recorded(diagram, result), f"{clock}.theta" if clock else "")
     return ["", text] if text else []
-
-
-def _recorded(diagram: Diagram, result: Result) -> Result:
-    """Return a result with the recorded signals alone."""
-    wanted = dict.fromkeys(str(name).partition("[")[0] for name in diagram.record)
-    names = [name for base in wanted for name in result.signals if name.partition("[")[0] == base]
-    provenance = {**result.provenance, "diagram": diagram.name}
-    return replace(result, signals={name: result.signals[name] for name in names}, provenance=provenance)
 
 
 def _rates(texts: Sequence[str]) -> dict[str, int]:

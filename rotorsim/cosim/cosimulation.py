@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from rotorsim.model.input_limits import input_limits, passed_limit
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.validity import growth_rate
 
-__all__ = ["cosimulate", "cosimulate_diagram", "couple", "open_coupling", "sources_of"]
+__all__ = ["cosimulate", "cosimulate_diagram", "couple", "open_coupling", "recorded", "sources_of"]
 
 EXPLODED = 1e3  # times larger in the last eighth than in the first, and still growing: an integral of t^2 is 64 times
 
@@ -46,6 +46,14 @@ def cosimulate_diagram(
         return cosimulate(coupling, diagram, step=step, stop=stop, **settings)
     finally:
         coupling.close()
+
+
+def recorded(diagram: Diagram, result: Result) -> Result:
+    """Return a result of a co-simulation with the recorded signals of the diagram alone."""
+    wanted = dict.fromkeys(str(name).partition("[")[0] for name in diagram.record)
+    names = [name for base in wanted for name in result.signals if name.partition("[")[0] == base]
+    provenance = {**result.provenance, "diagram": diagram.name}
+    return replace(result, signals={name: result.signals[name] for name in names}, provenance=provenance)
 
 
 def cosimulate(

@@ -130,4 +130,16 @@ def _box(box: Box, frame: str | None) -> str:
                 f'fill="#333333" text-anchor="{anchor}">{escape(name)}</text>'
                 for name in names
             ]
+    parts += [_tag(box, side == "inputs", port, text) for (side, port), text in box.tags.items()]
     return "\n".join(parts)
+
+
+def _tag(box: Box, is_input: bool, port: str, text: str) -> str:
+    """Return an arrow with the name of a port of the diagram, at the port of the block that it leads to."""
+    x, y = (box.x if is_input else box.x + box.width), box.port_y(port, is_input=is_input)
+    tip, anchor, shift, lift = (x - 3, "end", -10, 3.5) if is_input else (x + 12, "start", 3, -4)
+    return (
+        f'<path d="M{tip:.1f},{y:.1f} l-8,-4.5 v9 z" fill="#005a8c"/>'
+        f'<text x="{tip + shift:.1f}" y="{y + lift:.1f}" font-size="10" font-weight="bold" fill="#005a8c" '
+        f'stroke="white" stroke-width="3" paint-order="stroke" text-anchor="{anchor}">{escape(text)}</text>'
+    )

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from rotorsim.diagram.diagram import Diagram, Endpoint, Port
+from rotorsim.diagram.parse.document import endpoint
+
+Exposed = dict[tuple[str, str, str], list[tuple[str, str]]]
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,18 @@ def _port(diagram: Diagram, part: str, name: str, end: Endpoint, is_input: bool)
     node = diagram.nodes.get(end.block)
     inner = None if node is None else (node.inputs if is_input else node.outputs).get(end.port)
     return inner and Port(part, name, inner.shape[len(end.index) :], inner.unit, inner.declaration)
+
+
+def exposed_ports(document: Mapping[str, Any]) -> Exposed:
+    """Return the ports of a diagram by what they lead to: (side, block, port) -> names, and ends as written."""
+    found: Exposed = {}
+    for side, ends in document.get("ports", {}).items():
+        for name, written in ends.items():
+            for text in written if isinstance(written, list) else [written]:
+                end = endpoint(text)
+                if end is not None:
+                    found.setdefault((side, end.block, end.port), []).append((name, text))
+    return found
 
 
 def inside(block: str, parts: Collection[str]) -> str:

@@ -9,9 +9,10 @@ from itertools import accumulate
 import networkx as nx
 
 from rotorsim.diagram.diagram import Diagram, Endpoint, Node
-from rotorsim.diagram.parts import Part, closed_parts, inside, wires_outside
+from rotorsim.diagram.parts import Exposed, Part, closed_parts, exposed_ports, inside, wires_outside
 
 LANE, MARGIN, HEAD, PORT = 7.0, 22.0, 38.0, 15.0  # px: wire spacing, free space, box title, one port
+TAG = 24.0  # px: of a tag, without its text
 ABOVE_ROWS = 34.0  # px: above the first row, for a title
 SIGNS = {"+": "+", "-": "\N{MINUS SIGN}", "*": "\N{MULTIPLICATION SIGN}", "/": "\N{DIVISION SIGN}"}
 Key = tuple[str, str]
@@ -20,11 +21,15 @@ Point = tuple[float, float]
 
 @dataclass
 class Box:
-    """A block, or a closed sub-diagram, on the sheet: its ports, its grid cell, and then its place in px."""
+    """A block, or a closed sub-diagram, on the sheet: its ports, its grid cell, and then its place in px.
+
+    tags: (side, port) -> the ports of the diagram itself that lead there.
+    """
 
     node: Node | Part
     inputs: list[str]
     outputs: list[str]
+    tags: dict[Key, str] = field(default_factory=dict)
     column: int = 0
     row: int = 0
     x: float = 0.0
@@ -76,19 +81,21 @@ class Box:
 
 @dataclass
 class _Lanes:
-    """Lanes of one gap between columns or rows, one for each signal that wires in it."""
+    """Lanes of one gap between columns or rows, one for each signal that wires in it; before and behind, room [px]."""
 
     taken: dict[Key, int] = field(default_factory=dict)
+    before: float = 0.0
+    behind: float = 0.0
 
     def of(self, signal: Key) -> int:
         return self.taken.setdefault(signal, len(self.taken))
 
     @property
     def width(self) -> float:
-        return 2 * MARGIN + LANE * len(self.taken)
+        return self.before + 2 * MARGIN + LANE * len(self.taken) + self.behind
 
     def at(self, signal: Key, start: float) -> float:
-        return start + MARGIN + LANE * (self.taken[signal] + 0.5)
+        return start + self.before + MARGIN + LANE * (self.taken[signal] + 0.5)
 
 
 @dataclass(frozen=True)
@@ -144,11 +151,19 @@ def sheet_of(diagram: Diagram, *, every_port: bool = False, opened: Collection[s
     parts = closed_parts(diagram, diagram.sub_ports if opened is None else opened)
     seen = wires_outside(diagram, parts)
     boxes = _boxes(diagram, parts, seen, every_port)
+    _tag(boxes, exposed_ports(diagram.document))
     columns_at, rows_at = _place(diagram, boxes, seen)
     columns, rows = max(len(columns_at), 1), max((box.row for box in boxes.values()), default=0) + 1
     channels = [_Lanes() for _ in range(columns + 1)]  # gap k lies left of column k
     streets = [_Lanes() for _ in range(rows + 1)]  # gap k lies above row k
     routes = [_route(boxes, source, target, channels, streets) for source, target in seen]
+    for box in boxes.values():
+        for (side, _), text in box.tags.items():
+            room = TAG + 6.6 * len(text)
+            if side == "inputs":
+                channels[box.column].behind = max(channels[box.column].behind, room)
+            else:
+                channels[box.column + 1].before = max(channels[box.column + 1].before, room)
     grid = _measure(boxes, columns, rows, channels, streets)
     wires: list[DrawnWire] = []
     corners: dict[Key, list[list[Point]]] = {}
@@ -172,8 +187,11 @@ def _boxes(
     diagram: Diagram, parts: Mapping[str, Part], seen: Iterable[tuple[Endpoint, Endpoint]], every_port: bool
 ) -> dict[str, Box]:
     wires = list(seen)
+    exposed = exposed_ports(diagram.document)
     wired_in = {(target.block, target.port) for _, target in wires}
+    wired_in |= {(block, port) for side, block, port in exposed if side == "inputs"}
     wired_out = {(source.block, source.port) for source, _ in wires}
+    wired_out |= {(block, port) for side, block, port in exposed if side == "outputs"}
     shown: dict[str, Node | Part] = {}
     for name, node in diagram.nodes.items():
         part = inside(name, parts)
@@ -190,6 +208,15 @@ def _boxes(
         box.height = max(HEAD, PORT * count + 8) if box.plain else HEAD + PORT * count + 6
         boxes[name] = box
     return boxes
+
+
+def _tag(boxes: Mapping[str, Box], exposed: Exposed) -> None:
+    """Note at the ports that the diagram's own ports lead to what these are called; such ports are shown."""
+    for (side, block, port), named in exposed.items():
+        box = boxes.get(block)
+        if box is None or port not in (box.node.inputs if side == "inputs" else box.node.outputs):
+            continue
+        box.tags[side, port] = ", ".join(name for name, _ in named)
 
 
 def _place(

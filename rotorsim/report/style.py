@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 # Okabe & Ito (2008), "Color universal design"
 BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#6b6b6b"
 INK = "#222222"
+MEASURED_MARK: dict[str, Any] = {"marker": "D", "ms": 4.5, "mfc": "none", "ls": "none"}
 LINE_STYLES = ("-", "--", ":", "-.")  # of curves that may lie on each other
 ZERO_SHARE = 1e-9  # of the largest: linear solutions are good to 1e-12, and a sensor resolves 1e-6 of its range
 SHOWN_HARMONIC = 2.0  # times the noise level: a harmonic that is worth showing

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import copy
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+from rotorsim.block import Block
 from rotorsim.diagram import edit
-from rotorsim.diagram.parse.document import NAME_PATTERN, endpoint
+from rotorsim.diagram.grouping import dissolve, group
+from rotorsim.diagram.parse.document import NAME_PATTERN, endpoint, free_name
+from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.serve.changes import changes_of, with_changes
 
 Document = dict[str, Any]
 Operation = Mapping[str, Any]
-BEHIND_NAME = re.compile(r"\d+$")
 
 
 @dataclass(frozen=True)
@@ -24,12 +26,15 @@ class Editing:
     """What operations need to know. cells: block -> [column, row] of those that the picture places by itself.
 
     mine: patches write over what was changed meanwhile. recorded: what is recorded where the document does not say.
+    folder: of the file; created: name of a new file there -> the document of a sub-diagram for it.
     """
 
     registry: Registry
     cells: Mapping[str, Sequence[float]]
+    folder: Path
     mine: bool = False
     recorded: Sequence[str] = ()
+    created: dict[str, Document] = field(default_factory=dict)
 
 
 def applied(document: Document, operations: Iterable[Operation], editing: Editing) -> Document:
@@ -57,19 +62,24 @@ def _block(document: Document, name: str) -> Document:
         return found
     if "/" in name:
         part = name.partition("/")[0]
-        raise RotorsimError(Problem(f"it is a part of the sub-diagram '{part}'", name, hint="edit the file of that"))
+        raise RotorsimError(
+            Problem(f"it is a part of the sub-diagram '{part}'", name, hint=f"enter {part}: it has a file of its own")
+        )
     raise RotorsimError(Problem(f"no block '{name}'", name, hint=near_miss(name, document.get("blocks", {}))))
 
 
 def _move(document: Document, operation: Operation, editing: Editing) -> Document:
     name = operation["block"]
     _block(document, name)
-    to = operation["to"]
-    if len(to) != 2 or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e9 for x in to):
-        raise RotorsimError(Problem("a block moves to two numbers, [column, row]", name))
-    layout = _whole_layout(document, editing)
-    layout[name] = [_plain(x) for x in to]
+    _whole_layout(document, editing)[name] = _cell_of(operation["to"], name)
     return document
+
+
+def _cell_of(to: Any, name: str) -> list[float]:
+    numbers = isinstance(to, list) and len(to) == 2
+    if not numbers or not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e9 for x in to):
+        raise RotorsimError(Problem("a block moves to two numbers, [column, row]", name))
+    return [_plain(x) for x in to]
 
 
 def _whole_layout(document: Document, editing: Editing) -> Document:
@@ -104,7 +114,7 @@ def _cut(document: Document, operation: Operation, editing: Editing) -> Document
     wires = document.get("wires", [])
     if [source, target] not in wires:
         inside = "/" in source.partition(".")[0] and "/" in target.partition(".")[0]
-        hint = "it is inside a sub-diagram: edit the file of that" if inside else ""
+        hint = "it is inside a sub-diagram: enter that" if inside else ""
         raise RotorsimError(Problem("there is no such wire in this file", f"{source} -> {target}", hint=hint))
     wires.remove([source, target])
     return document
@@ -155,17 +165,90 @@ def _add(document: Document, operation: Operation, editing: Editing) -> Document
     if name in blocks or not NAME_PATTERN.fullmatch(str(name)):
         raise RotorsimError(_bad_name(str(name), blocks))
     layout = _whole_layout(document, editing)
-    needed = {key: one.unit for key, one in kind.parameters.items() if one.default is None}
-    values = {key: f"1 {unit}" if unit not in (None, "1") else 1 for key, unit in needed.items()} | dict(given)
+    values = _ones(kind) | dict(given)
     blocks[name] = {"type": type_name, **({"parameters": values} if values else {})}
-    layout[name] = [_plain(x) for x in operation["at"]]
+    layout[name] = _cell_of(operation["at"], name)
     return document
 
 
-def free_name(wanted: str, taken: Iterable[str]) -> str:
-    """Return a name that is not taken: the one wanted, else it with the next number behind it."""
-    names, stem = set(taken), BEHIND_NAME.sub("", wanted)
-    return next(name for name in (wanted, *(f"{stem}{k}" for k in range(2, len(names) + 3))) if name not in names)
+def _ones(kind: type[Block]) -> Document:
+    """Return what a block has to be given: 1 in its unit each, one of that in a list."""
+    given: Document = {
+        key: _one(declared.unit) for key, declared in kind.parameters.items() if declared.default is None
+    }
+    for key, option in kind.options.items():
+        if option.default is None and option.kind is not None:
+            given[key] = [_one(option.unit)] if option.is_list else _one(option.unit)
+    return given
+
+
+def _one(unit: str | None) -> str | int:
+    return f"1 {unit}" if unit not in (None, "1") else 1
+
+
+def _insert(document: Document, operation: Operation, editing: Editing) -> Document:
+    """Add copies of blocks, and of the wires among them; at: block -> [column, row]."""
+    given = operation["blocks"]
+    if not given or not all(isinstance(one, Mapping) for one in given.values()):
+        raise RotorsimError(Problem("these are no blocks", "edit"))
+    blocks = document.setdefault("blocks", {})
+    layout = _whole_layout(document, editing)
+    names: dict[str, str] = {}
+    for old, entry in given.items():
+        new = names[old] = free_name(old, blocks)
+        if not NAME_PATTERN.fullmatch(new):
+            raise RotorsimError(_bad_name(new, blocks))
+        blocks[new] = copy.deepcopy(dict(entry))
+        layout[new] = _cell_of(operation["at"].get(old), new)
+    for wire in operation["wires"]:
+        ends = [endpoint(end) for end in wire] if isinstance(wire, list) and len(wire) == 2 else []
+        if not ends or any(end is None or end.block not in names for end in ends):
+            raise RotorsimError(Problem("this is no wire among these blocks", "edit"))
+        copied = [names[text.partition(".")[0]] + text[text.index(".") :] for text in wire]
+        document.setdefault("wires", []).append(copied)
+    return document
+
+
+def _group(document: Document, operation: Operation, editing: Editing) -> Document:
+    _whole_layout(document, editing)
+    name = operation["name"]
+    for one in operation["blocks"]:
+        _block(document, str(one))
+    taken = {one.stem for one in editing.folder.glob("*.json")} | {Path(one).stem for one in editing.created}
+    file = f"{free_name(name, taken)}.json"
+    outer, inner = group(document, operation["blocks"], name, file)
+    outer["layout"][name] = [_plain(x) for x in outer["layout"][name]]
+    editing.created[file] = inner
+    return outer
+
+
+def _dissolve(document: Document, operation: Operation, editing: Editing) -> Document:
+    name = operation["block"]
+    file = _block(document, name).get("file")
+    if not isinstance(file, str):
+        raise RotorsimError(Problem("is no sub-diagram", name))
+    inner = read_document(editing.folder / file).data  # below the folder: the diagram could be drawn
+    _whole_layout(document, editing)
+    outer = dissolve(document, name, inner)
+    outer["layout"] = {one: [_plain(x) for x in at] for one, at in outer["layout"].items()}
+    return outer
+
+
+def _port(document: Document, operation: Operation, editing: Editing) -> Document:
+    """Lead an input or output of a block out of the diagram, or no longer."""
+    side, end = operation["side"], operation["end"]
+    found = endpoint(end)
+    if side not in ("inputs", "outputs") or found is None:
+        raise RotorsimError(Problem("a port leads to 'block.port', on the side of inputs or outputs", "edit"))
+    _block(document, found.block)
+    ports = document.setdefault("ports", {})
+    ends = ports.setdefault(side, {})
+    named = [port for port, one in ends.items() if end in _listed(one)]
+    if operation["on"] and not named:
+        ends[free_name(found.port, [*ports.get("inputs", {}), *ports.get("outputs", {})])] = end
+    for port in [] if operation["on"] else named:
+        _keep_ends(ends, port, [one for one in _listed(ends[port]) if one != end])
+    return _trimmed(document)
 
 
 def _bad_name(name: str, blocks: Mapping[str, Any]) -> Problem:
@@ -186,13 +269,27 @@ def _remove(document: Document, operation: Operation, editing: Editing) -> Docum
     if "record" in document:
         document["record"] = [signal for signal in document["record"] if not _is_of(signal, name)]
     for ends in document.get("ports", {}).values():
-        for port in [port for port, end in ends.items() if _is_of(end, name)]:
-            del ends[port]
+        for port, end in list(ends.items()):
+            _keep_ends(ends, port, [one for one in _listed(end) if not _is_of(one, name)])
     return _trimmed(document)
+
+
+def _listed(end: Any) -> list[Any]:
+    return end if isinstance(end, list) else [end]
+
+
+def _keep_ends(ends: Document, port: str, kept: list[Any]) -> None:
+    """Leave a port of the diagram what it still leads to, or remove it."""
+    if not kept:
+        del ends[port]
+    elif kept != _listed(ends[port]):
+        ends[port] = kept
 
 
 def _trimmed(document: Document) -> Document:
     """Return a document without keys that hold nothing any more."""
+    if "ports" in document:
+        document["ports"] = {side: ends for side, ends in document["ports"].items() if ends}
     for key in ("layout", "identify", "measured", "ports"):
         if key in document and not document[key]:
             del document[key]
@@ -229,7 +326,10 @@ def _rename(document: Document, operation: Operation, editing: Editing) -> Docum
         document["record"] = [named(signal) for signal in document["record"]]
     if "ports" in document:
         document["ports"] = {
-            side: {port: named(end) for port, end in ends.items()} for side, ends in document["ports"].items()
+            side: {
+                port: [named(one) for one in end] if isinstance(end, list) else named(end) for port, end in ends.items()
+            }
+            for side, ends in document["ports"].items()
         }
     return document
 
@@ -258,6 +358,10 @@ OPERATIONS: dict[str, Callable[[Document, Operation, Editing], Document]] = {
     "remove": _remove,
     "rename": _rename,
     "record": _record,
+    "insert": _insert,
+    "group": _group,
+    "dissolve": _dissolve,
+    "port": _port,
     "patch": _patch,
 }
 KEYS_NEEDED: dict[str, dict[str, type]] = {
@@ -270,5 +374,9 @@ KEYS_NEEDED: dict[str, dict[str, type]] = {
     "remove": {"block": str},
     "rename": {"block": str, "to": str},
     "record": {"signal": str, "on": bool},
+    "insert": {"blocks": dict, "wires": list, "at": dict},
+    "group": {"blocks": list, "name": str},
+    "dissolve": {"block": str},
+    "port": {"side": str, "end": str, "on": bool},
     "patch": {"changes": list},
 }

@@ -21,14 +21,18 @@ from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.diagram.parse.source import read_document
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.files import write_atomically
+from rotorsim.serve.beside import recordings_below
 from rotorsim.serve.changes import differences
 
-RECORDING_FILE = "recording.json"
-DEEPEST_RECORDING = 3  # folders below the diagram's in which recordings are looked for
-MOST_LISTED, MOST_OUTCOMES = 200, 20
+MOST_OUTCOMES = 20
 FINDING_VERBS = ("identify", "diagnose", "beside")
 FIGURE_SUFFIXES = (".png", ".svg")
 PYTHON = (sys.executable, "-P")  # files of the folder that are called as modules are none
+_PATHS = {"PYTHONSAFEPATH": "1"} | {  # relative ones would lead into the folder of the diagram
+    name: os.pathsep.join(str(Path(one).absolute()) for one in os.environ[name].split(os.pathsep) if one)
+    for name in ("PYTHONPATH",)
+    if os.environ.get(name)
+}
 _SHARE = re.compile(r"(\d{1,3})%\|")
 Data = dict[str, Any]
 
@@ -76,7 +80,7 @@ class Outcomes:
         Raises RotorsimError for unknown verbs and recordings, and with what the verb says where it fails. Cancelled, it
         ends the process.
         """
-        known = recordings_below(file.parent)
+        known = [one["name"] for one in recordings_below(file.parent)]
         if verb not in FINDING_VERBS:
             raise RotorsimError(Problem(f"unknown verb '{verb}'", hint=near_miss(verb, FINDING_VERBS)))
         if recording not in known:
@@ -133,7 +137,7 @@ async def _run(command: list[str], folder: Path, progress: Callable[[float, str]
     process = await asyncio.create_subprocess_exec(
         *command,
         cwd=folder,
-        env=os.environ | {"PYTHONSAFEPATH": "1"},
+        env=os.environ | _PATHS,
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
@@ -177,14 +181,3 @@ def _problems(complaints: str, verb: str) -> list[Problem]:
     hints = [line.removeprefix("hint: ") for line in complaints.splitlines() if line.startswith("hint: ")]
     found = [Problem(text, verb) for text in errors] or [Problem("it ended without a result", verb)]
     return [Problem(found[0].what, verb, hint=hints[0] if hints else ""), *found[1:]]
-
-
-def recordings_below(folder: Path) -> list[str]:
-    """Return the recordings below a folder, as they are called from there."""
-    found = []
-    pattern = ["/".join(["*"] * depth) for depth in range(1, DEEPEST_RECORDING + 1)]
-    for one in pattern:
-        for file in sorted(folder.glob(f"{one}/{RECORDING_FILE}")):
-            if file.is_file() and file.resolve().is_relative_to(folder.resolve()):
-                found.append(file.parent.relative_to(folder).as_posix())
-    return found[:MOST_LISTED]

@@ -7,81 +7,131 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from threading import Event, Lock
+from threading import Lock
 from typing import Any
 
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import Model, model_for_runs
-from rotorsim.report.text.table import rpm
+from rotorsim.recordings.recording import Recording
+from rotorsim.report.text.table import percent, rpm
+from rotorsim.serve.beside import Beside, beside_settled, chosen_run, driven_as_recorded, measured_result
+from rotorsim.serve.view import values_of
 from rotorsim.simulation.result import Result, flat_name
 from rotorsim.simulation.run import simulate
 
 MOST_SAMPLES_SENT = 200_000  # of a signal, that the page is sent; of more every second, third, ...
 MOST_MODELS, MOST_RESULTS = 8, 60  # that are kept
+MOST_ERRORS = 4  # signals whose error is said
 CAMPBELL_SPEEDS = 41  # from standstill to twice the speed of the diagram
 ANALYSES = ("modes", "campbell", "periodic")
 Data = dict[str, Any]
 
 
-class _StoppedError(Exception):
-    """The page has asked to stop."""
+@dataclass(frozen=True)
+class Source:
+    """A diagram to run: what it is known by (the hash of its file), and how it is loaded with parameters set."""
+
+    key: str
+    load: Callable[[Mapping[str, Any]], Diagram]
 
 
 @dataclass
 class Runs:
-    """What was run: results and analyses by number. Used from one worker thread, but for `stop` and `figure`."""
+    """What was run: results and analyses by number. Used from one worker thread, but for `figure`."""
 
     kept: OrderedDict[int, tuple[str, Any]] = field(default_factory=OrderedDict)
     _models: OrderedDict[str, Model] = field(default_factory=OrderedDict)
     _count: int = 0
     _lock: Lock = field(default_factory=Lock)  # figures are drawn in other threads
 
-    def run(
-        self,
-        key: str,
-        source: Callable[[], Diagram],
-        settings: Mapping[str, Any],
-        stopped: Event,
-        progress: Callable[[float], None],
-    ) -> Data:
+    def run(self, source: Source, settings: Mapping[str, Any], progress: Callable[[float], None]) -> Data:
         """Simulate a diagram and return its recorded signals for the page, in the units that they are shown in.
 
         time (n,) [s]; values: a row (n,) of 32 bit for each entry, NaN for what cannot be drawn.
-        key: what the diagram is known by (the hash of its file); source: loads it when it is not. settings: diagram
-        parameters, texts with units. Raises RotorsimError as `simulate`, and when it is stopped.
+        settings: diagram parameters, texts with units. Raises RotorsimError as `simulate`.
         """
         begun = time.perf_counter()
+        model = self._model(source)
+        result = simulate(model, parameters=dict(settings), progress=progress)
+        data = _result_data(result) | {"compared": values_of(model.diagram)}
+        return self._keep("run", result) | data | {"seconds": time.perf_counter() - begun}
 
-        def watched(share: float) -> None:
-            if stopped.is_set():
-                raise _StoppedError
-            progress(share)
+    def cosimulated(
+        self,
+        source: Source,
+        settings: Mapping[str, Any],
+        coupling: Mapping[str, Any],
+        progress: Callable[[float], None],
+    ) -> Data:
+        """Co-simulate a diagram, as `rotorsim cosim`; return it as `run` does, with what the coupling does to damping.
 
-        model = self._model(key, source)
-        parameters = dict(settings)
-        try:
-            result = simulate(model, parameters=parameters, progress=watched)
-        except _StoppedError:
-            raise RotorsimError(Problem("stopped", model.diagram.name), exit_code=1) from None
-        return self._keep("run", result) | _result_data(result) | {"seconds": time.perf_counter() - begun}
+        coupling: step (text with unit), master, order, parts (lists of blocks). Raises RotorsimError as
+        `cosimulate_diagram`.
+        """
+        from rotorsim.cosim.cosimulation import cosimulate_diagram, recorded
+        from rotorsim.report.text.coupling import said_by_fmus, stability_lines
 
-    def analyse(self, key: str, source: Callable[[], Diagram], what: str, settings: Mapping[str, Any]) -> Data:
-        """Return the table of an analysis, which is kept for its figure. Raises RotorsimError as it does."""
-        model = self._model(key, source)
-        made = {"modes": _modes, "campbell": _campbell, "periodic": _periodic}
-        if what not in made:
+        begun = time.perf_counter()
+        step, parts = _step(coupling.get("step")), coupling.get("parts") or []
+        if not isinstance(parts, list) or not all(isinstance(part, list) for part in parts):
+            raise RotorsimError(Problem("parts are lists of blocks", "cosim"))
+        diagram, master = source.load(settings), str(coupling.get("master") or "gauss_seidel")
+        result = cosimulate_diagram(diagram, parts, step=step, master=master, check=True, progress=progress)
+        made = result.provenance
+        said = [*stability_lines(made), *(f"{one.subject}: {one.what}" for one in said_by_fmus(made, ""))]
+        shown = recorded(diagram, result)
+        data = _result_data(shown) | {
+            "title": f"{_title(shown)}, {master}, step {coupling['step']}",
+            "note": "; ".join(said),
+            "compared": values_of(diagram),
+        }
+        return self._keep("run", shown) | data | {"seconds": time.perf_counter() - begun}
+
+    def driven(self, source: Source, settings: Mapping[str, Any], recording: Recording, run: str | None) -> Data:
+        """Simulate a diagram driven as a run was recorded; return it as `run` does, with what it leaves of signals."""
+        begun = time.perf_counter()
+        diagram = source.load(settings) if settings else self._model(source).diagram
+        found = driven_as_recorded(diagram, recording, run)
+        named = found.simulated.provenance
+        said = ", ".join(f"{percent(error)} of {name}" for name, error in [*found.errors.items()][:MOST_ERRORS])
+        data = _result_data(found.simulated) | {
+            "title": f"{diagram.name} driven as {named['run']} of {named['recording']}",
+            "note": f"NRMSE: it leaves {said}" if said else "",
+            "compared": values_of(diagram),
+        }
+        return self._keep("driven", found) | data | {"seconds": time.perf_counter() - begun}
+
+    def measured(self, source: Source, recording: Recording, run: str | None) -> Data:
+        """Return what a run has measured, as `run` does."""
+        chosen = chosen_run(recording, run)
+        result = measured_result(self._model(source).diagram, recording, chosen)
+        title = f"measured, {chosen.id} of {recording.name}"
+        return self._keep("measured", result) | _result_data(result) | {"title": title, "measured": True}
+
+    def analyse(self, source: Source, what: str, settings: Mapping[str, Any], recording: Recording | None) -> Data:
+        """Return the table of an analysis, which is kept for its figure. Raises RotorsimError as it does.
+
+        recording: its harmonics stand beside those of the settled motion.
+        """
+        model = self._model(source)
+        made = {"modes": _modes, "campbell": _campbell}
+        if what not in ANALYSES:
             raise RotorsimError(Problem(f"unknown analysis '{what}'", hint=f"one of {', '.join(ANALYSES)}"))
-        found, data = made[what](model, dict(settings))
+        if what == "periodic":
+            found, data = _periodic(model, dict(settings), recording)
+        else:
+            found, data = made[what](model, dict(settings))
         return self._keep(what, found) | data
 
     def figure(self, number: int, kind: str) -> bytes:
         """Return a figure of a run or an analysis as SVG. Raises RotorsimError for what is not there."""
         with self._lock:
             kept = self.kept.get(number)
-        fitting = {"run": ("overview", "spectrum")}
+        fitting = dict.fromkeys(("run", "driven", "measured"), ("overview", "spectrum"))
         if kept is None or kind not in fitting.get(kept[0], (kept[0],)):
             raise RotorsimError(Problem("there is no such figure", f"{number}/{kind}"))
         made = _spectrum(kept[1]) if kind == "spectrum" else kept[1].plot()
@@ -92,13 +142,13 @@ class Runs:
             made.savefig(stream, format="svg")
         return stream.getvalue()
 
-    def _model(self, key: str, source: Callable[[], Diagram]) -> Model:
-        if key not in self._models:
-            self._models[key] = model_for_runs(source())
+    def _model(self, source: Source) -> Model:
+        if source.key not in self._models:
+            self._models[source.key] = model_for_runs(source.load({}))
             while len(self._models) > MOST_MODELS:
                 self._models.popitem(last=False)
-        self._models.move_to_end(key)
-        return self._models[key]
+        self._models.move_to_end(source.key)
+        return self._models[source.key]
 
     def _keep(self, kind: str, found: Any) -> Data:
         with self._lock:
@@ -109,14 +159,26 @@ class Runs:
             return {"run": self._count}
 
 
-def _spectrum(result: Result) -> Any:
+def _step(given: Any) -> float:
+    """Return a communication step [s]. Raises RotorsimError for what is none."""
+    try:
+        step = numeric(given, "s")
+    except ValueProblem as error:
+        raise RotorsimError(Problem(error.what, "step", hint=error.hint or "such as 0.1 ms")) from None
+    if not step > 0:
+        raise RotorsimError(Problem("must be positive", "step", hint="such as 0.1 ms"))
+    return float(step)
+
+
+def _spectrum(found: Result | Beside) -> Any:
     from rotorsim.report.figures.run import spectrum_figure
     from rotorsim.report.text.run import two_axis_signals
 
+    result, measured = (found.simulated, found.measured) if isinstance(found, Beside) else (found, None)
     names = two_axis_signals(result)
     if not names:
         raise RotorsimError(Problem("no two-axis signal was recorded", hint="record one, such as rotor.displacement"))
-    return spectrum_figure(result, names[0])
+    return spectrum_figure(result, names[0], beside=measured)
 
 
 def _result_data(result: Result) -> Data:
@@ -131,6 +193,8 @@ def _result_data(result: Result) -> Data:
         values, unit = display(result[name][::step], result.unit(name))
         for part in np.ndindex(values.shape[1:-1]) if values.shape[-1:] == (2,) else [()]:
             own = values[(slice(None), *part)]
+            if np.isnan(own).all():  # a node where nothing was measured
+                continue
             two_axis = own.shape[1:] == (2,)
             labels = ["x", "y"] if two_axis else [flat_name(name, place) for place in np.ndindex(own.shape[1:])]
             signals.append({"name": flat_name(name, part), "unit": unit, "entries": labels, "two_axis": two_axis})
@@ -205,18 +269,27 @@ def _campbell(model: Model, settings: Data) -> tuple[Any, Data]:
     return found, {"title": f"Critical speeds of {model.diagram.name}", "columns": columns, "rows": rows}
 
 
-def _periodic(model: Model, settings: Data) -> tuple[Any, Data]:
+def _periodic(model: Model, settings: Data, recording: Recording | None) -> tuple[Any, Data]:
     from rotorsim.report.amplitudes import of_amplitude
     from rotorsim.report.style import display
     from rotorsim.settled.periodic import periodic
 
     rest = {name: value for name, value in settings.items() if name != "speed"}
-    found = periodic(model, speeds=_speeds(model, CAMPBELL_SPEEDS, 0.1), parameters=rest)
-    name = next(iter(found.two_axis or found.harmonics))
+    speeds = _speeds(model, CAMPBELL_SPEEDS, 0.1)
+    beside = None if recording is None else beside_settled(model, speeds, rest, recording)
+    found = periodic(model, speeds=speeds, parameters=rest) if beside is None else beside.settled
+    measured = {} if beside is None else beside.measured
+    name = next(one for one in (*measured, *found.two_axis, *found.harmonics) if one in found.harmonics)
     sizes, unit = display(np.abs(found.harmonic(name, 1)), found.units.get(name, ""))
+    columns = ["speed [rpm]", f"1X of {name} [{of_amplitude(unit)}]", "motion"]
     rows = [
         [f"{rpm(speed):.6g}", f"{size:.5g}", status]
         for speed, size, status in zip(found.speeds, sizes, found.status, strict=True)
     ]
-    columns = ["speed [rpm]", f"1X of {name} [{of_amplitude(unit)}]", "motion"]
-    return found, {"title": f"Settled motion of {model.diagram.name}", "columns": columns, "rows": rows}
+    if name in measured:
+        was, _ = display(np.abs(measured[name].order(1)), found.units.get(name, ""))
+        by_speed = dict(zip(measured[name].speeds, was, strict=True))
+        columns.insert(2, f"measured [{of_amplitude(unit)}]")
+        for row, speed in zip(rows, found.speeds, strict=True):
+            row.insert(2, f"{by_speed[speed]:.5g}" if speed in by_speed else "")
+    return beside or found, {"title": f"Settled motion of {model.diagram.name}", "columns": columns, "rows": rows}

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 from rotorsim.diagram.diagram import Diagram, Port
@@ -17,15 +16,17 @@ from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.diagram.resolve.values import ValueProblem, numeric, option_value
+from rotorsim.diagram.resolve.wiring import INPUT_OF_PART
 from rotorsim.diagram.sheet import sheet_of
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.files import write_atomically
 from rotorsim.model.load import load
+from rotorsim.serve.beside import read_recording, recordings_below
 from rotorsim.serve.changes import ConflictError
-from rotorsim.serve.outcomes import Outcomes, recordings_below
-from rotorsim.serve.runs import Runs
+from rotorsim.serve.outcomes import Outcomes
+from rotorsim.serve.runs import Runs, Source
 from rotorsim.serve.store import DiagramFile, data_of
-from rotorsim.serve.view import palette_of, problem_of_block, shape_text, view_of
+from rotorsim.serve.view import palette_of, parameters_of, problem_of_block, shape_text, view_of
 from rotorsim.units import UnitError, compatible
 
 Data = dict[str, Any]
@@ -33,7 +34,10 @@ Data = dict[str, Any]
 
 @dataclass
 class Session:
-    """A diagram that is open, or the gallery of shipped ones. folder: where copies go."""
+    """A diagram that is open, or the gallery of shipped ones. folder: where copies go.
+
+    part: the sub-diagram whose file it is, as "drive/controller", in the diagram of ``outer``.
+    """
 
     folder: Path
     file: DiagramFile | None = None
@@ -42,6 +46,39 @@ class Session:
     opened: set[str] = field(default_factory=set)  # sub-diagrams whose blocks are shown
     runs: Runs = field(default_factory=Runs)
     outcomes: Outcomes = field(default_factory=Outcomes)
+    part: str = ""
+    outer: Session | None = None
+    _inner: dict[str, Session] = field(default_factory=dict)
+
+    def inner(self, part: str) -> Session:
+        """Return the session of a sub-diagram's file, "" for this one. Raises RotorsimError for what is none."""
+        if not part:
+            return self
+        name, _, rest = part.partition("/")
+        entry = (self._open().state.document or {}).get("blocks", {}).get(name)
+        file = entry.get("file") if isinstance(entry, dict) and entry.get("type") == "diagram" else None
+        if not isinstance(file, str) or name not in self._diagram().sub_ports:
+            raise RotorsimError(Problem(f"no sub-diagram '{name}'", hint=near_miss(name, self._diagram().sub_ports)))
+        path = (self._open().path.parent / file).resolve()  # below the folder: the diagram could be drawn
+        known = self._inner.get(name)
+        if known is None or known._open().path != path:
+            opened = DiagramFile(path, trusted=self.trusted, read_only=self.read_only)
+            known = replace(self, file=opened, part=self._below(name), outer=self, opened=set(), _inner={})
+            self._inner[name] = known
+        return known.inner(rest)
+
+    @property
+    def top(self) -> Session:
+        """The session of the diagram that is served."""
+        return self if self.outer is None else self.outer.top
+
+    def _below(self, name: str) -> str:
+        return f"{self.part}/{name}" if self.part else name
+
+    def refresh(self) -> bool:
+        """Look at the file, and at those of its sub-diagrams that were entered; return whether one has changed."""
+        changed = [one.refresh() for one in self._inner.values()]
+        return (self.file is not None and self.file.refresh()) or any(changed)
 
     def state(self) -> Data:
         """Return what every page shows."""
@@ -52,12 +89,24 @@ class Session:
         return {
             "kind": "state",
             "file": self.file.path.name,
+            "part": self.part,
+            "top": self.top.file.path.name if self.top.file is not None else "",
             "sha": state.sha,
             "read_only": self.read_only,
             "valid": state.valid,
-            "problems": [problem_of_block(problem, names) for problem in state.problems],
+            "problems": [problem_of_block(problem, names) for problem in self._problems()],
             "view": None if state.diagram is None else view_of(state.diagram, self.opened),
+            "parameters": self._parameters_of_runs(),
         }
+
+    def _problems(self) -> list[Problem]:
+        """Return what is wrong in the file; of a part not that its inputs come from outside."""
+        problems = () if self.file is None else self.file.state.problems
+        return [problem for problem in problems if self.outer is None or problem.code != INPUT_OF_PART]
+
+    def _parameters_of_runs(self) -> list[Data]:
+        whole = None if self.top.file is None else self.top.file.state.diagram
+        return [] if whole is None else parameters_of(whole)
 
     def palette(self) -> Data:
         """Return all types of blocks."""
@@ -78,7 +127,7 @@ class Session:
 
     def recordings(self) -> Data:
         """Return the recordings below the folder of the diagram."""
-        return {"recordings": [] if self.file is None else recordings_below(self.file.path.parent)}
+        return {"recordings": [] if self.top.file is None else recordings_below(self.top.file.path.parent)}
 
     def copy(self, name: object) -> Data:
         """Copy a diagram that comes with rotorsim to the folder, under a name that is not taken, and open it."""
@@ -140,8 +189,25 @@ class Session:
         operations, base = message.get("operations"), message.get("base")
         if not isinstance(operations, list) or not operations or not isinstance(base, str):
             raise RotorsimError(Problem("an edit has a base and operations", "edit"))
-        edited = self._open().edit(base, operations, mine=message.get("mine") is True)
+        file = self._open()
+        broken = self._broken_outside()
+        edited = file.edit(base, operations, mine=message.get("mine") is True)
+        if now := [problem for problem in self._broken_outside() if problem not in broken]:
+            file.edit(edited.sha, edited.undo)
+            self._broken_outside()
+            hint = "this sub-diagram would not fit there any more"
+            raise RotorsimError(*(replace(problem, hint=hint) for problem in now))
         return {"kind": "done", "sha": edited.sha, "undo": edited.undo, "redo": edited.redo}
+
+    def _broken_outside(self) -> list[Problem]:
+        """Return what is wrong in the diagrams that this one is a part of, where they cannot be drawn."""
+        found: list[Problem] = []
+        outer = self.outer
+        while outer is not None and outer.file is not None:
+            outer.file.refresh()
+            found += [] if outer.file.state.valid else _errors(outer.file)
+            outer = outer.outer
+        return found
 
     def _types(self, message: Mapping[str, Any]) -> Data:
         file, block = self._open(), str(message.get("block"))
@@ -202,9 +268,9 @@ class Session:
 
     # -- runs, in a worker thread --------------------------------------------------------------------------------------
 
-    def work(self, message: Mapping[str, Any], stopped: Event, progress: Callable[[float], None]) -> Data:
-        """Return the result of a run or an analysis. Raises RotorsimError."""
-        file = self._open()
+    def work(self, message: Mapping[str, Any], progress: Callable[[float], None]) -> Data:
+        """Return the result of a run or an analysis of the whole diagram. Raises RotorsimError."""
+        file = self.top._open()
         state = file.state  # once: another thread looks at the file
         if not state.valid:
             raise RotorsimError(Problem("the file on disk has mistakes", hint="correct them there"), *_errors(file))
@@ -213,19 +279,28 @@ class Session:
             raise RotorsimError(Problem("'set' is an object of names and values", "run"))
         document, folder = state.document or {}, file.path.parent
 
-        key = f"{state.sha} {state.parts}"
+        def loaded(parameters: Mapping[str, Any]) -> Diagram:
+            return load(document, folder=folder, trust_blocks=self.trusted, set=parameters)
 
-        def source() -> Diagram:
-            return load(document, folder=folder, trust_blocks=self.trusted)
-
-        if message.get("kind") == "run":
-            data = self.runs.run(key, source, settings, stopped, progress)
-            return {"kind": "result", **data}
-        return {"kind": "table", **self.runs.analyse(key, source, str(message.get("what")), settings)}
+        source, kind = Source(f"{state.sha} {state.parts}", loaded), message.get("kind")
+        name, run = message.get("recording"), message.get("run")
+        recording = None if name is None else read_recording(folder, str(name))
+        run = None if run is None else str(run)
+        if kind == "analyse":
+            return {"kind": "table", **self.runs.analyse(source, str(message.get("what")), settings, recording)}
+        if kind == "cosim":
+            return {"kind": "result", **self.runs.cosimulated(source, settings, message, progress)}
+        if recording is None:
+            if kind == "measured":
+                raise RotorsimError(Problem("it takes a recording", "measured"))
+            return {"kind": "result", **self.runs.run(source, settings, progress)}
+        if kind == "measured":
+            return {"kind": "result", **self.runs.measured(source, recording, run)}
+        return {"kind": "result", **self.runs.driven(source, settings, recording, run)}
 
     async def find(self, message: Mapping[str, Any], progress: Callable[[float, str], None]) -> Data:
-        """Return what a verb finds in a recording. Raises RotorsimError."""
-        file = self._open()
+        """Return what a verb finds in a recording, of the whole diagram. Raises RotorsimError."""
+        file = self.top._open()
         state = file.state
         if not state.valid or state.document is None:
             raise RotorsimError(Problem("the file on disk has mistakes", hint="correct them there"), *_errors(file))

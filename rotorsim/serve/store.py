@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.parse.document import free_name
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.registry import Registry, forget_user_blocks
@@ -20,11 +21,18 @@ from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.files import write_atomically
 from rotorsim.model.load import load
 from rotorsim.serve.changes import NOTHING, Change, differences, with_changes
-from rotorsim.serve.operations import Document, Editing, Operation, applied, free_name
+from rotorsim.serve.operations import Document, Editing, Operation, applied
 from rotorsim.serve.view import cells_of
 
 MOST_VERSIONS = 2000  # that are kept, so that an edit of an older one can be put into the present one
-REBASED = ("rename", "patch", "add")  # bring along what was changed in a block, or find by themselves what fits
+REBASED = (
+    "rename",
+    "patch",
+    "add",
+    "insert",
+    "group",
+    "dissolve",
+)  # bring along what was changed in a block, or find by themselves what fits
 CHANGED_MEANWHILE = "the file was changed while it was being written; nothing was written"
 
 
@@ -122,16 +130,27 @@ class DiagramFile:
             new = applied(now, operations, editing)
         else:
             new = with_changes(now, differences(old, applied(old, operations, editing)))
-        self._check(new)
         undo, redo = differences(new, now), differences(now, new)
-        self._write(new)
+        made: list[Path] = []
+        try:
+            for name, document in editing.created.items():
+                with self.path.with_name(name).open("x", encoding="utf-8") as stream:  # never over another file
+                    made.append(self.path.with_name(name))
+                    stream.write(format_document(document))
+            self._check(new)
+            self._write(new)
+        except (OSError, RotorsimError) as error:
+            for path in made:
+                path.unlink(missing_ok=True)
+            raise error if isinstance(error, RotorsimError) else RotorsimError(Problem(str(error), "edit")) from error
         return Edited(self.state.sha, _patches(undo), _patches(redo))
 
     def _editing(self) -> Editing:
         diagram = self.state.diagram
         if diagram is None:
-            return Editing(self.registry, {})
-        return Editing(self.registry, cells_of(diagram), recorded=[str(end) for end in diagram.record])
+            return Editing(self.registry, {}, self.path.parent)
+        recorded = [str(end) for end in diagram.record]
+        return Editing(self.registry, cells_of(diagram), self.path.parent, recorded=recorded)
 
     @property
     def registry(self) -> Registry:

@@ -10,7 +10,7 @@ import numpy as np
 from rotorsim.block import Block
 from rotorsim.diagram.diagram import Diagram, Endpoint, Node, Port
 from rotorsim.diagram.draw import FILL, colours_of
-from rotorsim.diagram.parts import Part
+from rotorsim.diagram.parts import Exposed, Part, exposed_ports
 from rotorsim.diagram.sheet import Box, Cell, DrawnWire, Sheet, sheet_of
 from rotorsim.errors import Problem
 from rotorsim.report.text.blocks import block_data
@@ -29,6 +29,7 @@ def view_of(diagram: Diagram, opened: Collection[str] = ()) -> Data:
     colour = colours_of(sheet)
     wired = {(end.block, end.port) for wire in sheet.wires for end in (wire.source, wire.target)}
     document = diagram.document
+    exposed = exposed_ports(document)
     return {
         "name": diagram.name,
         "description": str(document.get("description", "")),
@@ -36,10 +37,10 @@ def view_of(diagram: Diagram, opened: Collection[str] = ()) -> Data:
         "height": sheet.height,
         "columns": [_cell(cell, "left", "right") for cell in sheet.columns],
         "rows": [_cell(cell, "top", "bottom") for cell in sheet.rows],
-        "blocks": [_block(box, document.get("blocks", {}), wired) for box in sheet.boxes.values()],
+        "blocks": [_block(box, document.get("blocks", {}), wired, exposed) for box in sheet.boxes.values()],
         "wires": [_wire(sheet, drawn, colour[drawn.signal]) for drawn in sheet.wires],
         "dots": [[round(x, 1), round(y, 1), colour[signal]] for (x, y), signal in sheet.dots],
-        "parameters": _parameters(diagram),
+        "parameters": parameters_of(diagram),
         "record": [str(signal) for signal in document.get("record", diagram.record)],
     }
 
@@ -54,7 +55,7 @@ def _cell(cell: Cell, start: str, end: str) -> Data:
     return {"value": cell.value, start: round(cell.start, 1), end: round(cell.end, 1)}
 
 
-def _block(box: Box, written: Mapping[str, Any], wired: set[tuple[str, str]]) -> Data:
+def _block(box: Box, written: Mapping[str, Any], wired: set[tuple[str, str]], exposed: Exposed) -> Data:
     node = box.node
     entry = written.get(node.name)
     own = entry.get("parameters", {}) if isinstance(entry, Mapping) else {}
@@ -69,8 +70,9 @@ def _block(box: Box, written: Mapping[str, Any], wired: set[tuple[str, str]]) ->
         "height": round(box.height, 1),
         "editable": entry is not None,
         "plain": box.plain,
-        "inputs": [_port(box, node.inputs[name], wired, is_input=True) for name in box.inputs],
-        "outputs": [_port(box, node.outputs[name], wired, is_input=False) for name in box.outputs],
+        "entry": entry,
+        "inputs": [_port(box, node.inputs[name], wired, exposed, is_input=True) for name in box.inputs],
+        "outputs": [_port(box, node.outputs[name], wired, exposed, is_input=False) for name in box.outputs],
         **(_of_part(own) if isinstance(node, Part) else _of_node(node, own)),
     }
 
@@ -95,7 +97,7 @@ def _of_part(own: Mapping[str, Any]) -> Data:
     return {"type": "diagram", "summary": summary, "parameters": given, "options": [], "part": "", "closed": True}
 
 
-def _port(box: Box, port: Port, wired: set[tuple[str, str]], *, is_input: bool) -> Data:
+def _port(box: Box, port: Port, wired: set[tuple[str, str]], exposed: Exposed, *, is_input: bool) -> Data:
     x = box.x if is_input else box.x + box.width
     return {
         "name": port.name,
@@ -104,6 +106,7 @@ def _port(box: Box, port: Port, wired: set[tuple[str, str]], *, is_input: bool) 
         "unit": _unit(port.unit),
         "shape": shape_text(port.shape),
         "wired": (port.block, port.name) in wired,
+        "exposed": exposed.get(("inputs" if is_input else "outputs", port.block, port.name), []),
         "optional": is_input and (port.additive or bool(getattr(port.declaration, "optional", False))),
         "sign": box.marks.get(port.name, "") if is_input else "",
     }
@@ -177,15 +180,35 @@ def _index(end: Endpoint) -> str:
     return str(end)[len(f"{end.block}.{end.port}") :]
 
 
-def _parameters(diagram: Diagram) -> list[Data]:
+def values_of(diagram: Diagram) -> dict[str, str]:
+    """Return every block's kind and values, to say in what two runs differ; what follows a parameter is that."""
+    found: dict[str, str] = {}
+    for name, node in diagram.nodes.items():
+        declared = type(node.block)
+        found[name] = declared.type_name
+        for key, value in node.values.items():
+            if key in declared.parameters and key not in node.references:
+                found[f"{name}.{key}"] = value_text(value, declared.parameters[key].unit)
+        found |= {f"{name}.{key}": str(getattr(node.block.option, key, None)) for key in declared.options}
+    return found | {one["name"]: one["value"] for one in parameters_of(diagram)}
+
+
+def parameters_of(diagram: Diagram) -> list[Data]:
+    """Return the parameters of a diagram, with the parameters of blocks that follow each."""
     followers: dict[str, list[str]] = {}
     for block, node in diagram.nodes.items():
         for key, followed in node.references.items():
             followers.setdefault(followed, []).append(f"{block}.{key}")
     written = diagram.document.get("parameters", {})
+    blocks = diagram.document.get("blocks", {})
+    for name in diagram.parameters:
+        part, slash, key = name.partition("/")
+        if slash and "/" not in key and part in blocks:  # of a sub-diagram: given to its block
+            written = {**written, name: blocks[part].get("parameters", {}).get(key)}
     return [
         {
             "name": name,
+            "field": name.replace("/", ".") if name in written else "",
             "value": value_text(value, diagram.parameter_units.get(name)),
             "written": written.get(name),
             "unit": diagram.parameter_units.get(name) or "1",

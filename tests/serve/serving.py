@@ -17,7 +17,8 @@ from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
-from rotorsim.serve.server import LOOKED_AT, Pages, application
+from rotorsim.serve.live import Pages
+from rotorsim.serve.server import LOOKED_AT, application
 from rotorsim.serve.session import Session
 
 TOKEN = "token-of-the-tests"
@@ -121,12 +122,12 @@ class Page:
         )
 
 
-async def opened(at: Served, token: str = TOKEN, **headers: str) -> Page:
+async def opened(at: Served, token: str = TOKEN, part: str = "", **headers: str) -> Page:
     """Return a page that has sent its token, with the first state."""
     named = {"Origin": f"http://{at.host}"} | headers
     request = HTTPRequest(f"ws://{at.host}/api/live", headers=named)
     page = Page(await websocket_connect(request, max_message_size=50_000_000))
-    await page.connection.write_message(json.dumps({"token": token}))
+    await page.connection.write_message(json.dumps({"token": token, "part": part}))
     first = await page.next()
     page.state = first or {}
     OPEN.append(page)

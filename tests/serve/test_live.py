@@ -259,7 +259,8 @@ def test_recordings_below_the_folder_are_found_and_looked_into(at: Served, mine:
     with chdir(mine.parent):
         assert CliRunner().invoke(rotorsim, shlex.split(made)).exit_code == 0
     _, body = at.ask("/api/recordings", X_Rotorsim_Token=TOKEN)
-    assert json.loads(body) == {"recordings": ["runs/bench"]}
+    of_bench = {"name": "runs/bench", "kind": "time", "runs": ["run01", "run02", "run03"]}
+    assert json.loads(body) == {"recordings": [of_bench]}
 
     async def talking() -> None:
         page = await opened(at)

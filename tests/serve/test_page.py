@@ -191,6 +191,79 @@ def test_a_controller_is_swapped_with_its_values_kept(at: Served, open_page: Ope
     assert document_of(mine)["blocks"]["controller"]["parameters"]["KP"] == "12200 A/m"
 
 
+def test_blocks_are_grouped_entered_edited_inside_and_dissolved(at: Served, open_page: Open, mine: Path) -> None:
+    page = open_page(at)
+    by(page, "block-controller").click()
+    by(page, "block-amb").click(modifiers=["Shift"])
+    expect(page.get_by_role("heading", name="2 blocks")).to_be_visible()
+    by(page, "group").click()
+    by(page, "group-name").fill("bearing")
+    by(page, "group-name").press("Enter")
+    expect(by(page, "block-bearing")).to_be_visible()
+    expect(by(page, "group-name")).to_have_count(0)
+    assert document_of(mine)["blocks"]["bearing"] == {
+        "type": "diagram",
+        "file": "bearing.json",
+        "parameters": document_of(mine)["blocks"]["bearing"]["parameters"],
+    }
+    by(page, "enter-part").click()
+    expect(by(page, "block-rotor")).to_have_count(0)
+    by(page, "block-controller").click()
+    by(page, "param-controller.KP").fill("12000 A/m")
+    by(page, "param-controller.KP").press("Enter")
+    part = mine.with_name("bearing.json")
+    changed(part, lambda document: document["blocks"]["controller"]["parameters"]["KP"] == "12000 A/m")
+    by(page, "undo").click()
+    changed(part, lambda document: document["blocks"]["controller"]["parameters"]["KP"] == "12200 A/m")
+    by(page, "run").click()  # the whole diagram
+    expect(by(page, "chart").first).to_be_visible()
+    page.reload()
+    expect(by(page, "block-rotor")).to_be_visible()
+    by(page, "block-bearing").click()
+    by(page, "dissolve").click()
+    changed(mine, lambda document: "bearing" not in document["blocks"])
+    expect(by(page, "block-controller")).to_be_visible()
+
+
+def test_several_blocks_are_chosen_moved_copied_and_removed_with_keys(at: Served, open_page: Open, mine: Path) -> None:
+    page = open_page(at)
+    before = document_of(mine)["layout"]
+    page.get_by_test_id("block-controller").focus()
+    page.keyboard.press("Shift+ArrowRight")
+    expect(page.get_by_role("heading", name="2 blocks")).to_be_visible()
+    page.keyboard.press("Alt+ArrowDown")
+    changed(mine, lambda document: document["layout"]["amb"][1] > before["amb"][1])
+    after = document_of(mine)["layout"]
+    assert [after[one][1] - before[one][1] for one in ("controller", "amb")] == [1, 1]
+    page.keyboard.press("d")
+    changed(mine, lambda document: {"controller2", "amb2"} <= set(document["blocks"]))
+    assert ["controller2.current", "amb2.current"] in document_of(mine)["wires"]
+    expect(by(page, "block-amb2")).to_have_attribute("aria-pressed", "true")
+    expect(by(page, "block-controller2")).to_have_attribute("aria-pressed", "true")
+    page.keyboard.press("Control+a")
+    expect(page.get_by_role("heading", name="10 blocks")).to_be_visible()
+    page.keyboard.press("Escape")
+    page.keyboard.press("u")
+    changed(mine, lambda document: "amb2" not in document["blocks"])
+    expect(by(page, "block-amb2")).to_have_count(0)
+    page.keyboard.press("f")
+    box = by(page, "sheet").bounding_box()
+    page.keyboard.down("Shift")
+    page.mouse.move(box["x"] + 3, box["y"] + 3)
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] - 3, box["y"] + box["height"] - 3, steps=4)
+    page.mouse.up()
+    page.keyboard.up("Shift")
+    expect(page.get_by_role("heading", name="8 blocks")).to_be_visible()
+    drag(page, by(page, "block-bus"), (0.0, 60.0))
+    changed(mine, lambda document: document["layout"] != after)
+    page.keyboard.press("Delete")
+    expect(page.locator(".said")).to_contain_text("not done")  # a diagram without blocks cannot be drawn
+    page.keyboard.press("Escape")
+    page.keyboard.press("g")
+    expect(by(page, "group-name")).to_have_count(0)
+
+
 def test_a_block_is_added_from_the_palette(at: Served, open_page: Open, mine: Path) -> None:
     page = open_page(at)
     page.keyboard.press("a")
@@ -282,12 +355,50 @@ def test_a_recording_is_diagnosed_and_the_repair_applied_as_one_step(
     report = page.frame_locator("[data-testid=report]")
     expect(report.get_by_text("controller_gain_error").first).to_be_visible()
     before = mine.read_bytes()
+    by(page, "repair").click()
     by(page, "apply").click()
     changed(mine, lambda document: "controller_gain_error" in document["blocks"])
     expect(by(page, "block-controller_gain_error")).to_be_visible()
     by(page, "undo").click()
     changed(mine, lambda document: "controller_gain_error" not in document["blocks"])
     assert mine.read_bytes() == before
+
+
+def test_a_recording_stands_beside_the_diagram_in_the_charts(
+    at: Served, open_page: Open, mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(mine.parent)
+    made = 'record mine.json --set "controller.KD=3.3 A s/m" --speeds "1200 rpm, 1500 rpm" --settle --out bench'
+    assert CliRunner().invoke(rotorsim, [*shlex.split(made), "--noise", "0.5 %"]).exit_code == 0
+    page = open_page(at)
+    by(page, "recorded-run").select_option("run02")
+    by(page, "compare").click()
+    kept = page.locator(".kept li")
+    expect(kept).to_have_count(2, timeout=60_000)
+    expect(kept.nth(0)).to_contain_text("measured, run02 of mine")
+    expect(kept.nth(1)).to_contain_text("mine driven as run02 of mine")
+    expect(kept.nth(1)).to_contain_text("NRMSE: it leaves")
+    expect(by(page, "chart").first).to_contain_text("x, 1")
+    expect(by(page, "orbit").first).to_be_visible()
+    kept.nth(1).get_by_role("button", name="spectrum").click()
+    expect(by(page, "figure")).to_be_visible()
+    by(page, "over-speed").click()
+    expect(page.get_by_text("measured [um, 0-peak]")).to_be_visible(timeout=60_000)
+    with page.expect_download() as loading:
+        page.get_by_text("Save the table as CSV").click()
+    table = Path(loading.value.path()).read_text().splitlines()
+    assert table[0] == 'speed [rpm],"1X of rotor.displacement [um, 0-peak]","measured [um, 0-peak]",motion'
+
+
+def test_a_co_simulation_runs_from_the_page(at: Served, open_page: Open, mine: Path) -> None:
+    mine.write_text(mine.read_text().replace('"stop": "5 s"', '"stop": "0.2 s"'))
+    page = open_page(at)
+    page.locator(".cosim summary").click()
+    page.get_by_label("step").fill("100 us")
+    page.get_by_label("parts").fill("controller")
+    by(page, "cosim").click()
+    expect(page.locator(".kept li").first).to_contain_text("gauss_seidel, step 100 us", timeout=60_000)
+    expect(page.locator(".kept li").first).to_contain_text("damping kept by the coupling")
 
 
 def test_a_block_is_copied_to_another_diagram_and_the_picture_saved(
@@ -304,7 +415,8 @@ def test_a_block_is_copied_to_another_diagram_and_the_picture_saved(
           return data.getData("text/plain");
         }"""
     )
-    assert json.loads(copied)["parameters"]["eccentricity"] == "24 um"  # what it follows there, not the name
+    entry = json.loads(copied)["rotorsim-blocks"]["blocks"]["unbalance"]
+    assert entry["parameters"]["eccentricity"] == "24 um"  # what it follows there, not the name
     with page.expect_download() as loading:
         by(page, "picture").click()
     assert loading.value.suggested_filename == "mine.svg"

@@ -57,6 +57,72 @@ def test_an_edit_is_written_in_canonical_form_and_taken_back_to_the_letter(opene
         assert opened.path.read_text() == text
 
 
+def test_a_group_is_written_to_a_new_file_and_dissolved_again(opened: DiagramFile) -> None:
+    before = document_of(opened.path)
+    other = opened.path.with_name("bearing.json")
+    other.write_text("somebody else's")
+    done = opened.edit(opened.state.sha, [{"op": "group", "blocks": ["amb", "controller"], "name": "bearing"}])
+    made = opened.path.with_name("bearing2.json")
+    assert document_of(opened.path)["blocks"]["bearing"]["file"] == "bearing2.json"
+    assert made.read_text() == format_document(document_of(made))
+    assert list(document_of(made)["blocks"]) == ["controller", "amb"]
+    assert opened.state.valid
+    assert not opened.state.problems
+    assert other.read_text() == "somebody else's"
+    opened.edit(opened.state.sha, [{"op": "dissolve", "block": "bearing"}])
+    after = document_of(opened.path)
+    assert after["blocks"] == before["blocks"]
+    assert sorted(after["wires"]) == sorted(before["wires"])
+    opened.edit(opened.state.sha, [{"op": "group", "blocks": ["rotor"], "name": "bearing"}])
+    assert document_of(opened.path)["blocks"]["bearing"]["file"] == "bearing3.json"
+    assert done.undo[0]["op"] == "patch"
+
+
+def test_a_group_that_is_refused_leaves_no_file(opened: DiagramFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise RotorsimError("cannot be drawn")
+
+    names = sorted(one.name for one in opened.path.parent.iterdir())
+    monkeypatch.setattr(opened, "_check", refuse)
+    with pytest.raises(RotorsimError, match="cannot be drawn"):
+        opened.edit(opened.state.sha, [{"op": "group", "blocks": ["rotor"], "name": "part"}])
+    assert sorted(one.name for one in opened.path.parent.iterdir()) == names
+
+
+def test_copies_keep_all_that_is_written_of_a_block_and_the_wires_among_them(opened: DiagramFile) -> None:
+    entry = {**document_of(opened.path)["blocks"]["controller"], "description": "of the left bearing"}
+    amb = document_of(opened.path)["blocks"]["amb"]
+    operation = {
+        "op": "insert",
+        "blocks": {"controller": entry, "amb": amb},
+        "wires": [["controller.current", "amb.current"]],
+        "at": {"controller": [2, 5], "amb": [3, 5]},
+    }
+    opened.edit(opened.state.sha, [operation])
+    now = document_of(opened.path)
+    assert (now["blocks"]["controller2"], now["blocks"]["amb2"]) == (entry, amb)
+    assert now["wires"][-1] == ["controller2.current", "amb2.current"]
+    assert (now["layout"]["controller2"], now["layout"]["amb2"]) == ([2, 5], [3, 5])
+    for wrong in ([["rotor.displacement", "amb.displacement"]], ["amb"], [["amb", "controller"]]):
+        with pytest.raises(RotorsimError, match="this is no wire among these blocks"):
+            opened.edit(opened.state.sha, [{**operation, "wires": wrong}])
+
+
+def test_ports_lead_out_of_the_diagram_and_follow_their_block(opened: DiagramFile) -> None:
+    edits: list[Operation] = [
+        {"op": "port", "side": "outputs", "end": "rotor.displacement", "on": True},
+        {"op": "port", "side": "inputs", "end": "rotor.force", "on": True},
+        {"op": "rename", "block": "rotor", "to": "shaft"},
+    ]
+    opened.edit(opened.state.sha, edits)
+    ports = {"outputs": {"displacement": "shaft.displacement"}, "inputs": {"force": "shaft.force"}}
+    assert document_of(opened.path)["ports"] == ports
+    opened.edit(opened.state.sha, [{"op": "port", "side": "outputs", "end": "shaft.displacement", "on": False}])
+    assert document_of(opened.path)["ports"] == {"inputs": {"force": "shaft.force"}}
+    opened.edit(opened.state.sha, [{"op": "remove", "block": "shaft"}])
+    assert "ports" not in document_of(opened.path)
+
+
 def test_blocks_are_wired_named_and_removed_with_all_that_is_theirs(opened: DiagramFile) -> None:
     opened.edit(opened.state.sha, [{"op": "rename", "block": "rotor", "to": "shaft"}])
     text = opened.path.read_text()
@@ -236,6 +302,10 @@ def some_operation(draw: random.Random, document: Document) -> list[Operation]:
             [{"op": "wire", "source": wire[0], "target": draw.choice(wires or [wire])[1]}],
             [{"op": "record", "signal": wire[0], "on": draw.random() < 0.5}],
             [{"op": "cut", "source": wire[0], "target": wire[1]}, {"op": "remove", "block": block}],
+            [{"op": "insert", "blocks": {block: document["blocks"][block]}, "wires": [], "at": {block: [1, 5]}}],
+            [{"op": "group", "blocks": draw.sample(list(blocks), min(2, len(blocks))), "name": "part"}],
+            [{"op": "dissolve", "block": block}],
+            [{"op": "port", "side": "outputs", "end": wire[0], "on": draw.random() < 0.5}],
         ]
     )
 
@@ -249,8 +319,8 @@ def by_hand(draw: random.Random, file: DiagramFile) -> None:
         return
     try:
         document = json.loads(text)
-        new = applied(document, some_operation(draw, document), Editing(file.registry, {}))
-        resolve(new, unfinished=[])
+        new = applied(document, some_operation(draw, document), Editing(file.registry, {}, file.path.parent))
+        resolve(new, folder=file.path.parent, unfinished=[])
     except (RotorsimError, ValueError, KeyError):
         return
     file.path.write_text(json.dumps(new, indent=draw.choice([None, 3])))
@@ -261,7 +331,7 @@ def check_step(draw: random.Random, file: DiagramFile, page: dict[str, Any]) -> 
     before = file.path.read_bytes()
     undo = page["undo"].pop() if page["undo"] and draw.random() < 0.3 else None
     operations = undo or some_operation(draw, page["document"])
-    editing = Editing(file.registry, {})
+    editing = Editing(file.registry, {}, file.path.parent)
     try:
         done = file.edit(page["sha"], operations)
     except RotorsimError:
@@ -269,15 +339,15 @@ def check_step(draw: random.Random, file: DiagramFile, page: dict[str, Any]) -> 
         return
     now, text = document_of(file.path), file.path.read_text()
     assert text == format_document(now)
-    resolve(now, unfinished=[])
+    resolve(now, folder=file.path.parent, unfinished=[])
     if undo is None:
         page["undo"].append(done.undo)
     old = json.loads(before)
     kinds = {operation["op"] for operation in operations}
     changed = {change.path for change in differences(old, now)}
-    if kinds == {"add"}:  # finds a name that is free now
+    if kinds & {"add", "insert"}:  # finds a name that is free now
         assert [path[0] for path in changed if path[0] != "layout"] == ["blocks"]
-    elif not kinds & {"rename", "patch"}:
+    elif not kinds & {"rename", "patch", "group", "dissolve"}:
         wanted = differences(page["document"], applied(page["document"], operations, editing))
         own = {change.path for change in wanted if change.path[0] != "layout"}  # all blocks get a place with the first
         assert {path for path in changed if path[0] != "layout"} <= own  # nobody else's entries

@@ -6,7 +6,7 @@ See `parse.flatten` for how it is made, and `parse.form` for what is checked on 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +15,7 @@ from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.errors import Place, Problems
 
 NAME_PATTERN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_NUMBER_BEHIND = re.compile(r"\d+$")
 _END = re.compile(
     r"([A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*)\.([A-Za-z_][A-Za-z0-9_]*)(?:\[\s*([0-9]{1,9}(?:\s*,\s*[0-9]{1,9})*)\s*\])?"
 )
@@ -110,3 +111,9 @@ def endpoint(text: Any, prefix: str = "") -> Endpoint | None:
     block, port, inside = match.groups()
     index = tuple(int(part) - 1 for part in inside.split(",")) if inside else ()
     return None if -1 in index else Endpoint(prefix + block, port, index)
+
+
+def free_name(wanted: str, taken: Iterable[str]) -> str:
+    """Return a name that is not taken: the one wanted, else it with the next number behind it."""
+    names, stem = set(taken), _NUMBER_BEHIND.sub("", wanted)
+    return next(name for name in (wanted, *(f"{stem}{k}" for k in range(2, len(names) + 3))) if name not in names)

@@ -15,6 +15,7 @@ from rotorsim.diagram.resolve.template import Templates
 from rotorsim.errors import Place, Problem, near_miss
 
 MAX_WIRE_HINTS = 50
+INPUT_OF_PART = "part"  # code of inputs that come from the diagram that this one is a part of
 UNFINISHED = "unfinished"  # code of what is only missing yet: the rest of the diagram can be drawn
 
 
@@ -177,12 +178,8 @@ class Wiring:
                 continue
             if (name, port) in self.flat.exposed:
                 hint = "a diagram that runs by itself wires all its inputs"
-                self.flat.problems.warning(
-                    "input reads zero unless this diagram is a part of another",
-                    f"{name}.{port}",
-                    self.flat.exposed[name, port],
-                    hint,
-                )
+                what, place = "input reads zero unless this diagram is a part of another", self.flat.exposed[name, port]
+                self.flat.problems.append(Problem(what, f"{name}.{port}", place, hint, "warning", INPUT_OF_PART))
                 self.cut.add((name, port))
             elif (name, port) not in self.cut:
                 candidate = self._candidate(name, port, declared.unit)

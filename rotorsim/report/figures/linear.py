@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,9 @@ from rotorsim.report.style import (
     BLUE,
     GREEN,
     GREY,
+    INK,
     LINE_STYLES,
+    MEASURED_MARK,
     ORANGE,
     RED,
     ZERO_SHARE,
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from rotorsim.linear.eigenmodes import Modes
     from rotorsim.linear.frequency import FrequencyResponse
     from rotorsim.linear.step_response import StepResponse
+    from rotorsim.measure.over_speed import HarmonicsOverSpeed
     from rotorsim.settled.result import Periodic
 
 
@@ -190,11 +193,13 @@ def periodic_figure(
     title: str = "",
     *,
     orders: Sequence[float] = (1, 2, 3, -1),
+    measured: Mapping[str, HarmonicsOverSpeed] | None = None,
 ) -> Figure:
     """Return amplitude and phase of harmonics over speed, one row of panels per signal.
 
-    signals: default those of two axes, else all. Speeds without a solution are gaps, unstable motions crosses; what is
-    rounding beside the largest harmonic is not drawn. Raises RotorsimError for signals not in the result.
+    signals: default those of two axes, else all. measured: harmonics of runs, drawn as diamonds. Speeds without a
+    solution are gaps, unstable motions crosses; what is rounding beside the largest harmonic is not drawn.
+    Raises RotorsimError for signals not in the result.
     """
     names = [signals] if isinstance(signals, str) else list(signals or result.two_axis or result.harmonics)
     there = [k for k in orders if np.isclose(result.orders, k, rtol=0, atol=1e-9).any()]
@@ -213,14 +218,24 @@ def periodic_figure(
             (line,) = left.plot(speed, sizes, mark, label=f"{order:+g}X")
             right.plot(*phase_line(speed, seen), mark, color=line.get_color())
             left.plot(speed[unstable], sizes[unstable], "x", ms=5, color=line.get_color())
+            if name in (measured or {}) and measured:
+                _draw_measured(left, right, measured[name], order, unit, line.get_color())
         left.set_title(name, loc="left")
         left.set(ylabel=f"amplitude [{of_amplitude(shown)}]", yscale="log" if floor > 0 else "linear", xmargin=0)
         right.set(ylabel="phase [deg]", ylim=(-190, 190), yticks=range(-180, 181, 90))
     panels[0, 0].plot([], [], "x", ms=5, color=GREY, label="unstable" if unstable.any() else None)
+    panels[0, 0].plot([], [], **MEASURED_MARK, color=INK, label="measured" if measured else None)
     for axes in panels[-1]:
         axes.set_xlabel("speed [rpm]")
-    made.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=len(there) + 1)
+    made.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=len(there) + 2)
     return made
+
+
+def _draw_measured(left: Axes, right: Axes, measured: HarmonicsOverSpeed, order: float, unit: str, colour: str) -> None:
+    values = measured.order(order)
+    left.plot(rpm(measured.speeds), display(from_peak(np.abs(values), order), unit)[0], **MEASURED_MARK, color=colour)
+    phases = np.where(measured.phase_known, np.degrees(np.angle(values)), np.nan)
+    right.plot(rpm(measured.speeds), phases, **MEASURED_MARK, color=colour)
 
 
 @styled()

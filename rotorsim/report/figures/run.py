@@ -18,11 +18,24 @@ from matplotlib.text import Text
 from rotorsim.errors import Problem, RotorsimError, visible
 from rotorsim.files import atomic_target
 from rotorsim.report.amplitudes import from_peak, of_amplitude, shown_amplitudes
-from rotorsim.report.style import BLUE, GREEN, GREY, INK, ORANGE, RED, ZERO_SHARE, display, figure, styled
+from rotorsim.report.style import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    MEASURED_MARK,
+    ORANGE,
+    RED,
+    ZERO_SHARE,
+    display,
+    figure,
+    styled,
+)
 from rotorsim.report.text.run import two_axis_signals
 from rotorsim.report.text.table import rpm
 from rotorsim.signals.envelopes import RunUp, run_up
 from rotorsim.signals.spectrum import FullSpectrum, angle_of, full_spectrum, last_turns
+from rotorsim.signals.two_axis import TwoAxis, two_axis_harmonics
 from rotorsim.simulation.result import Result, flat_name
 
 TURNS = 4.0  # shown in time histories
@@ -170,10 +183,13 @@ def _spectrum(result: Result, signal: str, window: tuple[float, float] | None) -
 
 
 @styled()
-def spectrum_figure(result: Result, signal: str, *, window: tuple[float, float] | None = None) -> Figure:
+def spectrum_figure(
+    result: Result, signal: str, *, window: tuple[float, float] | None = None, beside: Result | None = None
+) -> Figure:
     """Return amplitude and phase of the full spectrum over orders of the running speed.
 
-    window: times [s] (default: the last whole turns). Phases count from shaft angle zero.
+    window: times [s] (default: the last whole turns). beside: what was measured, its harmonics drawn as diamonds.
+    Phases count from shaft angle zero.
     Raises RotorsimError when the shaft angle was not recorded or the shaft does not turn.
     """
     spectrum = _spectrum(result, signal, window)
@@ -186,7 +202,21 @@ def spectrum_figure(result: Result, signal: str, *, window: tuple[float, float] 
         chosen = _side(order) == side
         phase.plot(order[chosen], np.degrees(np.angle(spectrum.amplitude[peaks[chosen]])), "o", ms=4, color=colour)
     phase.set(ylabel="phase [deg]", ylim=(-190, 190), yticks=range(-180, 181, 90), xlabel=ORDER_LABEL)
+    if beside is not None and signal in beside and angle_of(beside) is not None:
+        _draw_measured(axes, phase, two_axis_harmonics(beside, signal, window=window))
     return made
+
+
+def _draw_measured(axes: Axes, phase: Axes, measured: TwoAxis) -> None:
+    """Draw the harmonics that were measured, those that stand out of the noise."""
+    fitted = measured.harmonics
+    orders = np.array(fitted.orders)
+    shown = (np.abs(orders) <= DRAWN_ORDERS) & (True if measured.significant is None else measured.significant)
+    size, _ = display(np.abs(from_peak(fitted.values, orders)), fitted.unit)
+    axes.plot(orders[shown], size[shown], **MEASURED_MARK, color=INK, label="measured")
+    axes.set_ylim(top=max(axes.get_ylim()[1], 1.05 * float(size[shown].max(initial=0.0))))
+    phase.plot(orders[shown], np.degrees(np.angle(fitted.values[shown])), **MEASURED_MARK, color=INK)
+    _key(axes, 4)
 
 
 def _draw_run_up(axes: Axes, result: RunUp) -> None:

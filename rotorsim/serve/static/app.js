@@ -6,9 +6,9 @@ export const app = {
   state: null, // of the file, as the server says
   sha: "", // of the file, as the server said last
   lost: 0, // code of a lost connection
-  selected: null, // {block} or {wire: [source, target]}
+  selected: null, // {block, others: [names]} or {wire: [source, target]}
   dialog: null, // {kind, ...}: palette, choose, rename, conflict, keys
-  undo: [],
+  undo: [], // of the file that is shown
   redo: [],
   said: "",
   refused: [], // problems of the last edit that was refused
@@ -24,29 +24,51 @@ export function set(values) {
   draw();
 }
 
-let awaited = null; // tells the block that was added or renamed: the state comes behind the answer
+let awaited = null; // tells the blocks that were added or renamed: the state comes behind the answer
 let shown = () => {};
 export function shownBy(function_) {
   shown = function_;
+}
+
+const steps = new Map(); // sub-diagram -> its undo and redo: each file has its own
+
+// Goes into the file of a sub-diagram, "" for the diagram that is served.
+export async function enter(part) {
+  const found = await live.ask({ kind: "enter", part });
+  if (found.kind === "refused") set({ said: `not entered: ${found.problems[0].what}` });
+}
+
+// What is kept of the selection: blocks that are still there.
+function left(selected, view) {
+  const there = (name) => view?.blocks.some((one) => one.name === name);
+  if (!selected?.block) return selected;
+  const [first, ...others] = [selected.block, ...(selected.others ?? [])].filter(there);
+  return first ? { block: first, others } : null;
 }
 
 export let live = null;
 export function start() {
   live = new Live(
     (state) => {
-      const gone = app.selected?.block && !state.view?.blocks.some((one) => one.name === app.selected.block);
-      set({ state, sha: state.sha, lost: 0, selected: gone ? null : app.selected });
-      const fresh = awaited && state.view?.blocks.find(awaited);
+      const other = app.state && app.state.part !== state.part;
+      if (other) {
+        steps.set(app.state.part, { undo: app.undo, redo: app.redo });
+        Object.assign(app, steps.get(state.part) ?? { undo: [], redo: [] }, { selected: null, refused: [], dialog: null, search: "" });
+        awaited = null;
+      }
+      set({ state, sha: state.sha, lost: 0, selected: left(app.selected, state.view) });
+      const [fresh, ...others] = awaited ? (state.view?.blocks ?? []).filter(awaited).map((one) => one.name) : [];
       if (fresh) {
         awaited = null;
-        select({ block: fresh.name });
-        shown(fresh.name);
+        select({ block: fresh, others });
+        shown(fresh);
       }
     },
     (code) => set({ lost: code }),
   );
 }
 
+export const chosen = () => (app.selected?.block ? [app.selected.block, ...(app.selected.others ?? [])] : []);
 export const block = (name) => app.state?.view?.blocks.find((one) => one.name === name);
 export const readOnly = () => app.state?.read_only || !app.state?.valid;
 
@@ -62,11 +84,16 @@ export const name_of = (operations) => {
     remove: () => `remove ${first.block}`,
     rename: () => `rename ${first.block}`,
     record: () => `record ${first.signal}`,
+    group: () => `group ${first.blocks.join(", ")}`,
+    dissolve: () => `dissolve ${first.block}`,
+    insert: () => `add ${Object.keys(first.blocks).join(", ")}`,
+    port: () => `change port ${first.end}`,
   };
+  if (operations.length > 1 && operations.every((one) => one.op === first.op)) return `${first.op} ${operations.length} blocks`;
   return words[first.op]?.() ?? "edit";
 };
 
-const DONE = { move: "moved", wire: "wired", swap: "swapped", add: "added", remove: "removed", rename: "renamed", record: "changed what is recorded:" };
+const DONE = { move: "moved", wire: "wired", swap: "swapped", add: "added", remove: "removed", rename: "renamed", group: "grouped", dissolve: "dissolved", change: "changed", record: "changed what is recorded:" };
 
 // What is said of an edit that is done: "wired rotor.displacement to amb.displacement".
 const saidOf = (title) => title.replace(/^\w+/, (word) => DONE[word] ?? word);
@@ -95,7 +122,7 @@ async function send(operations, { base, mine = false, title, where = "new" } = {
       if (where === "new") app.redo.length = 0;
     }
     const said = { undo: `taken back: ${words}`, redo: `done again: ${words}` }[where] ?? saidOf(words);
-    if (operations[0].op === "add") awaited = (one) => !before.has(one.name);
+    if (["add", "insert", "group"].includes(operations[0].op)) awaited = (one) => !before.has(one.name);
     if (operations[0].op === "rename") awaited = (one) => one.name === operations[0].to;
     set({ said, refused: [] });
     return true;
@@ -121,53 +148,6 @@ async function back(steps, where) {
 
 export function select(selected) {
   set({ selected, refused: [] });
-}
-
-export function remove() {
-  if (app.selected?.wire) {
-    const [source, target] = app.selected.wire;
-    edit([{ op: "cut", source, target }]);
-    select(null);
-  } else if (app.selected?.block) {
-    edit([{ op: "remove", block: app.selected.block }]);
-  }
-}
-
-export function duplicate() {
-  const one = block(app.selected?.block);
-  if (!one?.editable) return;
-  const written = Object.fromEntries(
-    [...one.parameters, ...one.options].filter((item) => item.written !== null).map((item) => [item.name, item.written]),
-  );
-  const [column, row] = cell(one);
-  edit([{ op: "add", type: one.type, at: [column, row + 0.5], parameters: written }]);
-}
-
-const COPIED = "rotorsim-block";
-
-// Puts the selected block on the clipboard as JSON, so that another diagram, or an editor, can take it.
-export function copy(event) {
-  const one = block(app.selected?.block);
-  if (!one || app.dialog || /^(INPUT|TEXTAREA)$/.test(document.activeElement.tagName)) return;
-  const written = [...one.parameters, ...one.options].filter((item) => item.written !== null && item.written !== undefined);
-  const parameters = Object.fromEntries(written.map((item) => [item.name, item.follows ? item.value : item.written]));
-  event.clipboardData.setData("text/plain", JSON.stringify({ [COPIED]: one.name, type: one.type, parameters }));
-  event.preventDefault();
-  set({ said: `copied ${one.name}` });
-}
-
-export function paste(event) {
-  if (readOnly() || app.dialog || /^(INPUT|TEXTAREA)$/.test(document.activeElement.tagName)) return;
-  let given = null;
-  try {
-    given = JSON.parse(event.clipboardData.getData("text/plain"));
-  } catch {
-    return;
-  }
-  if (!given?.[COPIED] || typeof given.type !== "string") return;
-  const rows = app.state.view.rows.map((each) => each.value);
-  event.preventDefault();
-  edit([{ op: "add", type: given.type, at: [0, (rows[rows.length - 1] ?? -1) + 1], parameters: given.parameters ?? {} }]);
 }
 
 // The values of column and row at which a block stands.
@@ -203,3 +183,10 @@ export function free(name, column, row) {
 }
 
 export const move = (name, column, row) => edit([{ op: "move", block: name, to: free(name, column, row) }]);
+
+// Moves blocks together, by columns and rows.
+export const moveBy = (names, columns, rows) =>
+  edit(names.map((name) => {
+    const [column, row] = cell(block(name));
+    return { op: "move", block: name, to: [column + columns, row + rows] };
+  }));

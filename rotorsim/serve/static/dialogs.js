@@ -18,6 +18,7 @@ function Box({ title, id, children }) {
   }, []);
   const onKeyDown = (event) => {
     event.stopPropagation();
+    if (event.key === "Enter" && event.target.tagName === "INPUT") event.preventDefault(); // else it would press what has the focus next
     if (event.key === "Escape") return close();
     if (!box.current) return; // it was closed by this key
     const all = [...box.current.querySelectorAll("button:not([disabled]), input, select")];
@@ -108,6 +109,18 @@ function Rename({ name }) {
     <button onClick=${done}>Rename</button><//>`;
 }
 
+function Group({ blocks }) {
+  const [name, type] = useState("part");
+  const done = () => {
+    close();
+    edit([{ op: "group", blocks, name }]);
+  };
+  return html`<${Box} title=${`Group ${blocks.length === 1 ? blocks[0] : `${blocks.length} blocks`} into a sub-diagram`}>
+    <p class="hint">It gets a file of its own beside this one, and a port for each signal that goes in or out.</p>
+    <input aria-label="Name of the sub-diagram" data-testid="group-name" value=${name} onInput=${(event) => type(event.target.value)} onKeyDown=${(event) => event.key === "Enter" && done()} />
+    <button onClick=${done}>Group</button><//>`;
+}
+
 // Wires a block without a mouse: first one of its ports, then the other end.
 function WireUp({ name }) {
   const one = block(name);
@@ -135,9 +148,11 @@ function WireUp({ name }) {
 }
 
 function Conflict({ dialog }) {
-  const mine = () => {
+  const mine = async () => {
     close();
-    edit(dialog.operations, { base: dialog.found.sha, mine: true, title: dialog.title, where: dialog.where });
+    const done = await edit(dialog.operations, { base: dialog.found.sha, mine: true, title: dialog.title, where: dialog.where });
+    const steps = { undo: app.undo, redo: app.redo }[dialog.where];
+    if (!done && app.dialog?.kind !== "conflict") steps?.push({ back: dialog.operations, title: dialog.title }); // it may be tried again
   };
   const value = (one) => (one === null ? "nothing" : one);
   return html`<${Box} title="Changed on both sides" id="conflict">
@@ -160,6 +175,7 @@ export function Dialog() {
     palette: () => html`<${Palette} />`,
     swap: () => html`<${Swap} name=${dialog.block} />`,
     rename: () => html`<${Rename} name=${dialog.block} />`,
+    group: () => html`<${Group} blocks=${dialog.blocks} />`,
     wire: () => html`<${WireUp} name=${dialog.block} />`,
     conflict: () => html`<${Conflict} dialog=${dialog} />`,
     keys: () => html`<${Keys} />`,

@@ -1,7 +1,8 @@
 // What is selected: a block with its values, a wire, or the diagram with its parameters.
 
 import { html, useEffect, useRef, useState } from "./vendor/htm-preact-3.1.1.module.js";
-import { app, block, duplicate, edit, live, readOnly, remove, select, set } from "./app.js";
+import { app, block, chosen, edit, enter, live, readOnly, select, set } from "./app.js";
+import { dissolve, duplicate, editable, group, remove } from "./selection.js";
 
 const text = (value) => (value === null || value === undefined ? "" : typeof value === "string" ? value : JSON.stringify(value));
 
@@ -19,7 +20,7 @@ export function meant(given) {
 const broken = (name) => name.split("_").map((part, k) => (k ? html`_<wbr />${part}` : part));
 
 // A field of a value: checked while it is typed, written when it is left or Enter is pressed.
-export function Field({ name, label, item, more }) {
+export function Field({ name, label, item, more, fixed }) {
   const shown = item.written !== null && item.written !== undefined ? text(item.written) : "";
   const [typed, type] = useState(null);
   const [wrong, say] = useState(null);
@@ -54,7 +55,7 @@ export function Field({ name, label, item, more }) {
   const id = `field-${name}`;
   return html`<div class="field">
     <label for=${id} title=${item.doc}>${broken(label)}</label>
-    <input id=${id} data-testid=${`param-${name}`} value=${typed ?? shown} placeholder=${item.value} disabled=${readOnly()}
+    <input id=${id} data-testid=${`param-${name}`} value=${typed ?? shown} placeholder=${item.value} disabled=${readOnly() || fixed}
       aria-invalid=${!!wrong} aria-describedby=${wrong ? `${id}-wrong` : undefined}
       onBlur=${commit} onInput=${onInput}
       onKeyDown=${(event) => {
@@ -103,14 +104,45 @@ function Ports({ title, one, side }) {
     const change = () => edit([{ op: "record", signal, on: !on }]);
     return html`<button class="small" aria-pressed=${on} onClick=${change} aria-label=${`${on ? "do not record" : "record"} ${signal}`}>${on ? "recorded ✓" : "record"}</button>`;
   };
+  const outside = app.state.part || app.state.view.blocks.some((each) => [...each.inputs, ...each.outputs].some((port) => port.exposed.length));
+  const exposer = (name, port) => {
+    const [on, end] = [port.exposed.length > 0, port.exposed[0]?.[1] ?? name];
+    const change = () => edit([{ op: "port", side, end, on: !on }]);
+    return html`<button class="small" aria-pressed=${on} title="Whether it is a port of this diagram" onClick=${change} aria-label=${`port of the diagram: ${name}`}>${on ? `port ${port.exposed[0][0]} ✓` : "port"}</button>`;
+  };
   return html`<h3>${title}</h3><ul class="ports">${ports.map((port) => {
     const name = `${one.name}.${port.name}`;
     const own_wires = wires.filter((wire) => wire[own].replace(/\[.*$/, "") === name);
     return html`<li key=${port.name}><b>${port.name}</b> ${port.unit === "1" ? "" : port.unit} <span class="shape">${port.shape}</span>
-      ${own_wires.length ? null : html` <span class="shape">${port.optional ? "not wired, may stay so" : "not wired"}</span>`}
+      ${own_wires.length || port.exposed.length ? null : html` <span class="shape">${port.optional ? "not wired, may stay so" : "not wired"}</span>`}
       ${side === "outputs" && one.editable && !readOnly() ? recorder(name) : null}
+      ${outside && one.editable && !readOnly() ? exposer(name, port) : null}
       ${own_wires.map((wire) => html`<button class="link" title="To the wire" onClick=${() => toWire(wire)}>${other === "source" ? "from" : "to"} ${wire[other]}</button>`)}</li>`;
   })}</ul>`;
+}
+
+// What is done with a sub-diagram, or with the one that a block is a part of.
+function PartActions({ one }) {
+  const part = one.closed ? one.name : one.part;
+  if (!part) return null;
+  const below = app.state.part ? `${app.state.part}/${part}` : part;
+  const show = (open) => live.ask({ kind: "part", block: part, open });
+  return html`${one.closed ? null : html`<p>It is a part of the sub-diagram ${part}, which has a file of its own.</p>`}
+    <p class="actions">${one.closed
+      ? html`<button data-testid="open-part" title="Show its blocks here (o)" onClick=${() => show(true)}>Open</button>`
+      : html`<button data-testid="close-part" onClick=${() => show(false)}>Close ${part}</button>`}
+    <button data-testid="enter-part" title="Edit its file (e)" onClick=${() => enter(below)}>Enter${one.closed ? "" : ` ${part}`}</button>
+    ${one.closed && one.editable && !readOnly() ? html`<button data-testid="dissolve" title="Put its blocks here in its place (x)" onClick=${() => dissolve(part)}>Dissolve</button>` : null}</p>`;
+}
+
+function OfSeveral({ names }) {
+  const blocks = editable();
+  return html`<h2>${names.length} blocks</h2>
+    ${!readOnly() && blocks.length
+      ? html`<p class="actions"><button data-testid="group" title="Into a sub-diagram (g)" onClick=${group}>Group</button>
+          <button onClick=${duplicate}>Duplicate</button><button data-testid="remove" onClick=${remove}>Remove</button></p>`
+      : null}
+    <ul class="ports">${names.map((name) => html`<li key=${name}><button class="link" onClick=${() => select({ block: name })}>${name}</button></li>`)}</ul>`;
 }
 
 function OfBlock({ one }) {
@@ -122,13 +154,12 @@ function OfBlock({ one }) {
       return item.choices ? html`<${Choice} key=${name} name=${name} item=${item} />` : html`<${Field} key=${name} name=${name} label=${item.name} item=${item} />`;
     });
   return html`<h2>${one.name}</h2><p class="kind">${one.kind}</p><p>${one.summary}</p>
-    ${one.closed ? html`<p class="actions"><button data-testid="open-part" onClick=${() => live.ask({ kind: "part", block: one.name, open: true })}>Open</button></p>` : null}
-    ${one.part ? html`<p>It is a part of the sub-diagram ${one.part}, which has a file of its own.</p>
-      <p class="actions"><button data-testid="close-part" onClick=${() => live.ask({ kind: "part", block: one.part, open: false })}>Close ${one.part}</button></p>` : null}
+    <${PartActions} one=${one} />
     ${!readOnly() && one.editable
       ? html`<p class="actions"><button data-testid="rename" onClick=${() => set({ dialog: { kind: "rename", block: one.name } })}>Rename</button>
           <button data-testid="swap" onClick=${() => set({ dialog: { kind: "swap", block: one.name } })}>Swap</button>
           <button onClick=${() => set({ dialog: { kind: "wire", block: one.name } })}>Wire</button>
+          <button data-testid="group" title="Into a sub-diagram (g)" onClick=${group}>Group</button>
           <button onClick=${duplicate}>Duplicate</button>
           <button data-testid="remove" onClick=${remove}>Remove</button></p>`
       : null}
@@ -150,10 +181,14 @@ function OfWire({ wire }) {
 export function Inspector() {
   const view = app.state.view;
   const one = block(app.selected?.block);
+  if (chosen().length > 1) return html`<${OfSeveral} names=${chosen()} />`;
   if (one) return html`<${OfBlock} key=${one.name} one=${one} />`;
   const [source, target] = app.selected?.wire ?? [];
   const wire = source && view?.wires.find((each) => each.source === source && each.target === target);
   if (wire) return html`<${OfWire} wire=${wire} />`;
   return html`<h2>${view?.name}</h2><p>${view?.description}</p><p class="hint">Select a block or a wire.</p>
+    ${app.state.part && view?.parameters.length
+      ? html`<h3>Parameters, where they are not given outside</h3>${view.parameters.map((item) => html`<${Field} key=${item.name} name=${item.name} label=${item.name} item=${item} />`)}`
+      : null}
     <h3>Recorded</h3><ul class="ports">${view?.record.map((signal) => html`<li>${signal}</li>`)}</ul>`;
 }

@@ -1,22 +1,27 @@
 // The keyboard: what every key does.
 
-import { app, block, cell, duplicate, move, readOnly, redo, remove, select, set, undo } from "./app.js";
+import { app, block, cell, chosen, enter, move, moveBy, readOnly, redo, select, set, undo } from "./app.js";
 import { run } from "./runs.js";
 import { bring, fit, focusBlock } from "./camera.js";
+import { dissolve, duplicate, editable, group, remove, selectAll, toggle } from "./selection.js";
 
 export const KEYS = [
   ["Tab", "next block"],
   ["Arrows", "nearest block in that direction"],
-  ["Alt + arrows", "move the block by a column or row"],
+  ["Shift + arrows", "select the block there, too (Shift + click, Shift + drag)"],
+  ["Ctrl+A", "select all blocks"],
+  ["Alt + arrows", "move by a column or row"],
   ["Enter", "to its values"],
   ["w", "wire one of its ports"],
   ["a", "add a block"],
   ["o", "open a sub-diagram, or close the one that a block is in"],
+  ["e, b", "enter the file of a sub-diagram; back to the diagram that it is in"],
+  ["g, x", "group the selected blocks into a sub-diagram; dissolve it"],
   ["d", "duplicate"],
-  ["Ctrl+C, Ctrl+V", "copy the block; paste it, into another diagram too"],
+  ["Ctrl+C, Ctrl+V", "copy the blocks; paste them, into another diagram too"],
   ["r", "rename"],
   ["s", "swap for another type"],
-  ["Delete", "remove the block, or cut the wire"],
+  ["Delete", "remove the blocks, or cut the wire"],
   ["u, Ctrl+Z", "undo"],
   ["Ctrl+Y, Ctrl+Shift+Z", "redo"],
   ["p", "run"],
@@ -32,25 +37,32 @@ export function onKey(event) {
   const control = event.ctrlKey || event.metaKey;
   if (control && event.key.toLowerCase() === "z" && !typing) return act(event, event.shiftKey ? redo : undo);
   if (control && event.key.toLowerCase() === "y" && !typing) return act(event, redo);
+  if (control && event.key.toLowerCase() === "a" && !typing) return act(event, () => selectAll(app.state.view.blocks.filter((one) => one.editable).map((one) => one.name)));
   if (event.key === "Escape") return act(event, () => (typing ? event.target.blur() : select(null)));
   if (typing || control) return;
   const one = block(app.selected?.block);
-  if (STEPS[event.key] && one && event.target.type !== "range") return act(event, () => (event.altKey ? shift(one, STEPS[event.key]) : go(one, STEPS[event.key])));
+  if (STEPS[event.key] && one && event.target.type !== "range") return act(event, () => (event.altKey ? shift(one, STEPS[event.key]) : go(one, STEPS[event.key], event.shiftKey)));
   const actions = {
     p: () => run(),
     f: fit,
     "/": () => document.querySelector("[data-testid=search]").focus(),
     "?": () => set({ dialog: { kind: "keys" } }),
   };
+  if (app.state.part) actions.b = () => enter(app.state.part.split("/").slice(0, -1).join("/"));
+  if (one?.closed || one?.part) actions.o = () => document.querySelector("[data-testid=open-part], [data-testid=close-part]")?.click();
+  if (one?.closed || one?.part) actions.e = () => document.querySelector("[data-testid=enter-part]")?.click();
   if (one) actions.Enter = () => document.querySelector("aside input, aside select, aside button")?.focus();
   if (!readOnly()) {
     actions.a = () => set({ dialog: { kind: "palette" } });
     actions.u = undo;
     actions.Delete = actions.Backspace = () => app.selected && remove();
   }
-  if (one?.editable && !readOnly()) {
-    actions.o = () => document.querySelector("[data-testid=open-part], [data-testid=close-part]")?.click();
+  if (editable().length && !readOnly()) {
     actions.d = duplicate;
+    actions.g = group;
+  }
+  if (one?.editable && !readOnly()) {
+    if (one.closed) actions.x = () => dissolve(one.name);
     actions.r = () => set({ dialog: { kind: "rename", block: one.name } });
     actions.s = () => set({ dialog: { kind: "swap", block: one.name } });
     actions.w = () => set({ dialog: { kind: "wire", block: one.name } });
@@ -73,11 +85,15 @@ function shift(one, [dx, dy]) {
     return values[k] ?? value + step;
   };
   const [column, row] = cell(one);
+  if (chosen().length > 1) {
+    const names = editable().map((each) => each.name);
+    return moveBy(names, dx ? next(view.columns, column, dx) - column : 0, dy ? next(view.rows, row, dy) - row : 0);
+  }
   move(one.name, dx ? next(view.columns, column, dx) : column, dy ? next(view.rows, row, dy) : row);
 }
 
-// Selects the block that is nearest in a direction.
-function go(one, [dx, dy]) {
+// Selects the block that is nearest in a direction; more: beside those that are.
+function go(one, [dx, dy], more) {
   const middle = (each) => [each.x + each.width / 2, each.y + each.height / 2];
   const [x, y] = middle(one);
   const far = (each) => {
@@ -87,7 +103,9 @@ function go(one, [dx, dy]) {
   };
   const best = app.state.view.blocks.reduce((a, b) => (far(b) < far(a) ? b : a));
   if (far(best) < Infinity) {
-    select({ block: best.name });
+    if (!more) select({ block: best.name });
+    else if (!chosen().includes(best.name)) toggle(best.name);
+    else select({ block: best.name, others: chosen().filter((name) => name !== best.name) });
     focusBlock(best.name);
     bring(best.name);
   }

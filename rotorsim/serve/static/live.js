@@ -1,6 +1,7 @@
 // The connection to the server: the token, requests with their answers, and what the server says by itself.
 
 const KEPT = "rotorsim-token";
+export const shown = { part: "" }; // the sub-diagram whose file the page shows
 
 export function token() {
   const given = location.hash.slice(1);
@@ -12,7 +13,7 @@ export function token() {
 }
 
 export async function get(path) {
-  const answer = await fetch(path, { headers: { "X-Rotorsim-Token": token() } });
+  const answer = await fetch(shown.part ? `${path}?part=${encodeURIComponent(shown.part)}` : path, { headers: { "X-Rotorsim-Token": token() } });
   if (!answer.ok) throw new Error((await answer.text()).trim());
   return answer;
 }
@@ -49,7 +50,7 @@ export class Live {
     const socket = new WebSocket(`ws://${location.host}/api/live`);
     this.socket = socket;
     socket.binaryType = "arraybuffer";
-    socket.onopen = () => socket.send(JSON.stringify({ token: token() }));
+    socket.onopen = () => socket.send(JSON.stringify({ token: token(), part: shown.part }));
     socket.onmessage = (event) => this.receive(typeof event.data === "string" ? JSON.parse(event.data) : unpacked(event.data));
     socket.onclose = (event) => {
       for (const { answer } of this.waiting.values()) answer({ kind: "lost" });
@@ -60,7 +61,10 @@ export class Live {
   }
 
   receive(data) {
-    if (data.kind === "state") this.told(data);
+    if (data.kind === "state") {
+      shown.part = data.part ?? "";
+      this.told(data);
+    }
     const request = this.waiting.get(data.id);
     if (!request) return;
     if (data.kind === "progress") request.progress?.(data.share, data);

@@ -1,7 +1,7 @@
 // The page: bars, sheet, inspector, results.
 
 import { html, render } from "./vendor/htm-preact-3.1.1.module.js";
-import { app, copy, drawnBy, paste, redo, set, start, undo } from "./app.js";
+import { app, drawnBy, enter, redo, set, start, undo } from "./app.js";
 import { find, fit, zoom } from "./camera.js";
 import { Dialog } from "./dialogs.js";
 import { Gallery } from "./gallery.js";
@@ -11,6 +11,7 @@ import { get, token } from "./live.js";
 import { Problems } from "./problems.js";
 import { Found, Recordings } from "./recordings.js";
 import { Results, RunBar } from "./runs.js";
+import { copy, paste } from "./selection.js";
 import { Sheet, follow } from "./sheet.js";
 
 async function savePicture() {
@@ -22,12 +23,21 @@ async function savePicture() {
   URL.revokeObjectURL(link.href);
 }
 
+// Where the page is: the diagram that is served, and the sub-diagrams down to the one that is shown.
+function Trail() {
+  const parts = (app.state.part ?? "").split("/").filter(Boolean);
+  if (!parts.length) return null;
+  const up = parts.map((name, k) => [name, parts.slice(0, k + 1).join("/")]);
+  return html`<nav class="trail" aria-label="Sub-diagrams"><button data-testid="top" title="To the whole diagram (b: one up)" onClick=${() => enter("")}>${app.state.top}</button>
+    ${up.map(([name, part], k) => html`<span>›</span>${k < up.length - 1 ? html`<button onClick=${() => enter(part)}>${name}</button>` : html`<b>${name}</b>`}`)}</nav>`;
+}
+
 function Bar() {
   const writes = app.state && !app.state.read_only;
   const undoes = app.undo[app.undo.length - 1]?.title;
   const redoes = app.redo[app.redo.length - 1]?.title;
   return html`<header>
-    <strong class="name">${app.state.view?.name ?? app.state.file}</strong>
+    ${app.state.part ? html`<${Trail} />` : html`<strong class="name">${app.state.view?.name ?? app.state.file}</strong>`}
     <span class="file">${app.state.file}${app.state.read_only ? ", read only" : ""}</span>
     ${writes &&
     html`<button data-testid="undo" disabled=${!undoes} title=${undoes ? `Undo: ${undoes} (Ctrl+Z)` : "Nothing to undo"} onClick=${undo}>Undo</button>

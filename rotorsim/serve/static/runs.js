@@ -7,6 +7,7 @@ import { Field } from "./inspector.js";
 import { get } from "./live.js";
 
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#8c5fa8", "#b8860b", "#56697a"];
+const INKS = ["#222222", "#8a8a8a"];
 const DASHES = [[], [8, 4], [2, 3], [8, 3, 2, 3]];
 const ORBIT_TURNS = 4;
 const most = { runs: 8, entries: 6 };
@@ -14,61 +15,74 @@ Object.assign(app, { runs: [], moved: {}, running: null, table: null, figure: nu
 
 let again = false;
 
-// Simulates the file as it is, with the parameters that were moved. slid: the run takes the place of the last such.
-export async function run(slid = false) {
+// Simulates the file as it is, with the parameters that were moved; driven as a run of a recording was, or shows such
+// a run as it was measured. slid: the run takes the place of the last such. Returns whether there is a result.
+export async function run({ kind = "run", slid = false, ...of } = {}) {
   if (app.running) {
-    again = true;
-    return;
+    again ||= slid;
+    return false;
   }
-  const settings = moved();
+  const settings = kind === "measured" ? {} : moved();
   const working = { share: 0, id: null, slid };
   set({ running: working, said: "running" });
-  const found = await live.ask({ kind: "run", set: settings, started: (id) => (working.id = id) }, (share) => {
+  const found = await live.ask({ kind, ...of, set: settings, started: (id) => (working.id = id) }, (share) => {
     working.share = share;
     set({});
   });
   set({ running: null });
-  if (found.kind === "result") keep(found, slid, settings);
-  else set({ refused: found.problems ?? [], said: `no run: ${found.problems?.[0].what ?? "connection lost"}` });
+  const done = found.kind === "result";
+  if (done) keep(found, slid, settings);
+  else set({ refused: found.problems ?? [], said: `no result: ${found.problems?.[0].what ?? "connection lost"}` });
   if (again) {
     again = false;
-    run(true);
+    run({ slid: true });
   }
+  return done;
 }
 
 // The parameters that were moved, of those that there are.
-const moved = () => Object.fromEntries(Object.entries(app.moved).filter(([name]) => app.state.view?.parameters.some((one) => one.name === name)));
+const moved = () => Object.fromEntries(Object.entries(app.moved).filter(([name]) => parameters().some((one) => one.name === name)));
+
+// Of the whole diagram: it is what runs, from inside of a sub-diagram, too.
+const parameters = () => app.state.parameters ?? app.state.view?.parameters ?? [];
 
 function keep(found, slid, settings) {
   const number = slid && app.runs[app.runs.length - 1]?.slid ? app.count : ++app.count;
   const others = slid ? app.runs.filter((each) => !each.slid) : app.runs;
-  const values = { ...valuesOf(app.state.view), ...settings };
-  const title = `${number}: ${[found.title, ...differing(values, others[0]?.values)].join(", ")}`;
-  const one = { ...found, number, slid, title, values, rows: found.values, shown: true };
+  const values = found.compared && { ...found.compared, ...settings };
+  const title = `${number}: ${[found.title, ...differing(values, others.find((one) => one.values)?.values)].join(", ")}`;
+  const one = { ...found, number, slid, title, values, rows: found.values, shown: true, look: freeLook(others) };
   const bad = found.status === "finished" ? "" : `${found.status}: `;
   set({ refused: [], runs: [...others, one].slice(-most.runs), said: `${title}: ${bad}${found.message || "finished"}` });
 }
 
-// Every value of the diagram, to say in what two runs differ.
-function valuesOf(view) {
-  const of = view.blocks.flatMap((one) => [
-    [one.name, one.kind],
-    ...[...one.parameters, ...one.options].filter((item) => !item.follows).map((item) => [`${one.name}.${item.name}`, item.value]),
-  ]);
-  return Object.fromEntries([...of, ...view.parameters.map((item) => [item.name, item.value])]);
+// The colour and dash of a run, as a number: it keeps them while others come and go.
+function freeLook(others) {
+  const taken = others.map((each) => each.look);
+  return COLOURS.map((_, k) => k).find((k) => !taken.includes(k)) ?? 0;
 }
+
+// Of entry j of a run: what was measured is dark.
+const colour = (one, j) => (one.measured ? INKS[j % INKS.length] : COLOURS[j % COLOURS.length]);
+const orbitColour = (one) => (one.measured ? INKS[0] : COLOURS[one.look % COLOURS.length]);
+const dash = (one) => (one.measured ? [] : DASHES[one.look % DASHES.length]);
 
 // In what a run differs from the first one, but for the speed, which its title says.
 function differing(values, first) {
-  if (!first) return [];
+  if (!first || !values) return [];
   const names = [...new Set([...Object.keys(first), ...Object.keys(values)])].filter((name) => first[name] !== values[name] && name !== "speed");
   const words = names.slice(0, 2).map((name) => (name in values ? `${name} = ${values[name]}` : `without ${name}`));
   return names.length > 2 ? [...words, `${names.length - 2} more`] : words;
 }
 
-async function analyse(what) {
-  set({ running: { share: 0, id: null }, said: `${what} ...` });
-  const found = await live.ask({ kind: "analyse", what, set: moved() });
+export async function analyse(what, recording = null) {
+  const working = { share: 0, id: null };
+  set({ running: working, said: `${what} ...` });
+  const started = (id) => {
+    working.id = id;
+    set({});
+  };
+  const found = await live.ask({ kind: "analyse", what, recording, set: moved(), started });
   set({ running: null });
   if (found.kind === "table") {
     set({ refused: [], table: found, said: found.title });
@@ -89,11 +103,12 @@ async function show(number, kind, title) {
 const QUANTITY = /^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)$/;
 
 function Slider({ item }) {
-  const given = typeof item.written === "number" ? [null, item.written, ""] : QUANTITY.exec(item.written ?? "");
+  const given = typeof item.written === "number" ? [null, item.written, ""] : QUANTITY.exec(item.written ?? item.value);
   const [timer] = useState({ id: 0 });
   const now = app.moved[item.name];
   const item_ = { ...item, doc: `sets ${item.followers.join(", ")}` };
-  if (!given) return html`<${Field} name=${item.name} label=${item.name} item=${item_} />`;
+  const fixed = !!app.state.part || !item.field; // they stand in the file of the whole diagram
+  if (!given) return html`<${Field} name=${item.field || item.name} label=${item.name} item=${item_} fixed=${fixed} />`;
   const value = Number(given[1]);
   const [low, high] = value === 0 ? [-1, 1] : [Math.min(0.5 * value, 1.5 * value), Math.max(0.5 * value, 1.5 * value)];
   const at = now === undefined ? value : Number(QUANTITY.exec(String(now))[1]);
@@ -101,16 +116,36 @@ function Slider({ item }) {
     const next = Number(Number(event.target.value).toPrecision(6));
     set({ moved: { ...app.moved, [item.name]: given[2] ? `${next} ${given[2]}` : next } });
     clearTimeout(timer.id);
-    timer.id = setTimeout(() => run(true), 80);
+    timer.id = setTimeout(() => run({ slid: true }), 80);
   };
   const more = html`<input type="range" data-testid=${`slider-${item.name}`} aria-label=${`${item.name}, for runs only`} min=${low} max=${high}
       step=${(high - low) / 200} value=${at} onInput=${slide} />
     <output class=${now === undefined ? "" : "moved"}>${now === undefined ? "as in the file" : now}</output>`;
-  return html`<${Field} name=${item.name} label=${item.name} item=${item_} more=${more} />`;
+  return html`<${Field} name=${item.field || item.name} label=${item.name} item=${item_} more=${more} fixed=${fixed} />`;
+}
+
+const MASTERS = ["gauss_seidel", "jacobi", "iterative", "waveform"];
+
+// Co-simulation: FMUs, the parts that are named, and the rest exchange signals at communication points.
+function CoSimulation({ busy }) {
+  const [step, type] = useState("");
+  const [master, choose] = useState(MASTERS[0]);
+  const [parts, name] = useState("");
+  const start = () => {
+    const lists = parts.split(";").map((part) => part.split(",").map((one) => one.trim()).filter(Boolean)).filter((part) => part.length);
+    run({ kind: "cosim", step, master, parts: lists });
+  };
+  const onKeyDown = (event) => event.key === "Enter" && step && start();
+  return html`<details class="cosim"><summary>Co-simulation</summary>
+    <div class="field"><label for="cosim-step">step</label><input id="cosim-step" placeholder="0.1 ms" value=${step} onInput=${(event) => type(event.target.value)} onKeyDown=${onKeyDown} /></div>
+    <div class="field"><label for="cosim-master">master</label><select id="cosim-master" value=${master} onChange=${(event) => choose(event.target.value)}>
+      ${MASTERS.map((one) => html`<option value=${one}>${one}</option>`)}</select></div>
+    <div class="field"><label for="cosim-parts" title="Blocks that are a participant of their own; FMUs always are">parts</label>
+      <input id="cosim-parts" placeholder="controller; amb, rotor" value=${parts} onInput=${(event) => name(event.target.value)} onKeyDown=${onKeyDown} /></div>
+    <p class="actions"><button data-testid="cosim" disabled=${busy || !step || !app.state.valid} onClick=${start}>Co-simulate</button></p></details>`;
 }
 
 export function RunBar() {
-  const view = app.state.view;
   const any = Object.keys(moved()).length > 0;
   const busy = app.running && !app.running.slid; // a slider that moves leaves the bar as it is
   return html`<div class="runbar">
@@ -124,22 +159,24 @@ export function RunBar() {
       : null}
     ${any ? html`<button onClick=${() => set({ moved: {} })}>Sliders back</button>` : null}
   </div>
-  <details class="sliders" open><summary>Parameters of the diagram</summary>
+  <details class="sliders" open><summary>Parameters of ${app.state.part ? app.state.top : "the diagram"}</summary>
     ${any ? html`<p class="moved">Sliders are for runs only: the file stays as it is.</p>` : null}
-    ${view?.parameters.map((item) => html`<${Slider} key=${item.name} item=${item} />`)}</details>`;
+    ${parameters().map((item) => html`<${Slider} key=${item.name} item=${item} />`)}</details>
+  <${CoSimulation} busy=${busy} />`;
 }
 
 function Kept() {
   if (!app.runs.length) return html`<p class="hint">Press Run, or move a slider. Results are kept here, side by side.</p>`;
   const change = (one, values) => set({ runs: app.runs.map((each) => (each === one ? { ...each, ...values } : each)) });
-  return html`<ul class="kept">${app.runs.map((one, k) => html`<li key=${one.number}>
+  return html`<ul class="kept">${app.runs.map((one) => html`<li key=${one.number}>
     <label><input type="checkbox" checked=${one.shown} onChange=${() => change(one, { shown: !one.shown })} />
-      <svg class="dash" viewBox="0 0 40 8" aria-hidden="true"><path d="M0,4 h40" stroke=${COLOURS[k % COLOURS.length]} stroke-dasharray=${DASHES[k % DASHES.length].join(" ")} /></svg>
+      <svg class="dash" viewBox="0 0 40 8" aria-hidden="true"><path d="M0,4 h40" stroke=${orbitColour(one)} stroke-dasharray=${dash(one).join(" ")} /></svg>
       ${one.title}${one.status === "finished" ? "" : html` <b class="bad">${one.status}</b>`}</label>
     ${one.slid ? html`<button class="small" title="Keep this run when a slider moves again" onClick=${() => change(one, { slid: false })}>keep</button>` : null}
     <button class="small" onClick=${() => show(one.run, "spectrum", `Full spectrum, ${one.title}`)}>spectrum</button>
     <button class="small" onClick=${() => show(one.run, "overview", one.title)}>page</button>
     <button class="small" aria-label=${`Remove ${one.title}`} onClick=${() => set({ runs: app.runs.filter((each) => each !== one) })}>×</button>
+    ${one.note ? html`<p class="hint">${one.note}</p>` : null}
     ${one.message ? html`<p class="wrong">${one.message}</p>` : null}</li>`)}</ul>`;
 }
 
@@ -158,17 +195,17 @@ const zoomed = new Map(); // signal -> [from, to] of its chart, kept when runs c
 function Chart({ name, runs }) {
   const box = useRef(null);
   useEffect(() => {
-    const parts = runs.map(([one, k]) => [one, k, rowsOf(one, name)]).filter((part) => part[2]);
-    const unit = parts[0][2].signal.unit;
+    const parts = runs.map((one) => [one, rowsOf(one, name)]).filter((part) => part[1]);
+    const unit = parts[0][1].signal.unit;
     const alike = parts.every(([one]) => one.time.length === parts[0][0].time.length && one.time.at(-1) === parts[0][0].time.at(-1));
     const gaps = (row) => (row.every(Number.isFinite) ? row : Array.from(row, (value) => (Number.isFinite(value) ? value : null)));
-    const tables = parts.map(([one, , { rows }]) => [one.time, ...rows.slice(0, most.entries).map(gaps)]);
+    const tables = parts.map(([one, { rows }]) => [one.time, ...rows.slice(0, most.entries).map(gaps)]);
     const data = alike ? [tables[0][0], ...tables.flatMap((table) => table.slice(1))] : uPlot.join(tables);
-    const series = parts.flatMap(([one, k, { signal }]) =>
+    const series = parts.flatMap(([one, { signal }]) =>
       signal.entries.slice(0, most.entries).map((entry, j) => ({
-        label: runs.length > 1 ? `${entry}, ${one.title}` : entry,
-        stroke: COLOURS[j % COLOURS.length],
-        dash: DASHES[k % DASHES.length],
+        label: runs.length > 1 ? `${entry}, ${one.number}` : entry, // its title stands above, with the number
+        stroke: colour(one, j),
+        dash: dash(one),
         width: 1.2,
         spanGaps: !alike,
         value: (_, value) => (value === null || value === undefined ? "-" : value.toPrecision(5)),
@@ -194,7 +231,7 @@ function Chart({ name, runs }) {
       whole ? zoomed.delete(name) : zoomed.set(name, [min, max]);
       chart.destroy();
     };
-  }, [name, runs.map(([one, k]) => `${one.run}:${k}:${one.title}`).join()]);
+  }, [name, runs.map((one) => `${one.run}:${one.title}`).join()]);
   return html`<div class="chart" data-testid="chart" role="img" aria-label=${`${name} over time`} ref=${box}></div>`;
 }
 
@@ -206,17 +243,17 @@ function between(name, time) {
 
 function Orbit({ name, runs }) {
   const canvas = useRef(null);
-  useEffect(() => drawOrbit(canvas.current, runs.map(([one, k]) => [one, k, rowsOf(one, name)]).filter((part) => part[2])));
+  useEffect(() => drawOrbit(canvas.current, runs.map((one) => [one, rowsOf(one, name)]).filter((part) => part[1])));
   return html`<canvas class="orbit" data-testid="orbit" width="440" height="440" role="img" aria-label=${`Orbit of ${name}`} ref=${canvas}></canvas>`;
 }
 
 function drawOrbit(canvas, parts) {
   const pen = canvas.getContext("2d");
   const [size, edge] = [canvas.width, 64];
-  const curves = parts.map(([one, k, { rows }]) => {
+  const curves = parts.map(([one, { rows }]) => {
     const step = one.time[1] - one.time[0] || 1;
     const count = one.speed_rpm ? Math.ceil((ORBIT_TURNS * 60) / Math.abs(one.speed_rpm) / step) + 1 : Math.ceil(one.time.length / 5);
-    return { k, xy: rows.map((row) => Array.from(row.slice(-Math.max(count, 2)))) };
+    return { one, xy: rows.map((row) => Array.from(row.slice(-Math.max(count, 2)))) };
   });
   const finite = (values) => values.filter(Number.isFinite);
   const all = [0, 1].map((axis) => finite(curves.flatMap((one) => one.xy[axis])));
@@ -241,21 +278,21 @@ function drawOrbit(canvas, parts) {
       pen.fillText(String(Number(v.toPrecision(4))), axis ? edge - 6 : x, axis ? y + 7 : size - edge + 24);
     }
   }
-  for (const { k, xy } of curves) {
-    pen.strokeStyle = COLOURS[k % COLOURS.length];
-    pen.setLineDash(DASHES[k % DASHES.length].map((one) => 2 * one));
+  for (const { one, xy } of curves) {
+    pen.strokeStyle = orbitColour(one);
+    pen.setLineDash(dash(one).map((each) => 2 * each));
     pen.lineWidth = 2;
     pen.beginPath();
     xy[0].forEach((x, j) => Number.isFinite(x + xy[1][j]) && pen.lineTo(...at(x, xy[1][j])));
     pen.stroke();
     const last = at(xy[0].at(-1) ?? 0, xy[1].at(-1) ?? 0);
     pen.setLineDash([]);
-    pen.fillStyle = COLOURS[k % COLOURS.length];
+    pen.fillStyle = orbitColour(one);
     pen.beginPath();
     pen.arc(...last, 6, 0, 7);
     pen.fill();
   }
-  const unit = parts[0][2].signal.unit;
+  const unit = parts[0][1].signal.unit;
   pen.fillStyle = "#222";
   pen.textAlign = "center";
   pen.fillText(`x [${unit}]`, size / 2, size - 8);
@@ -266,6 +303,12 @@ function drawOrbit(canvas, parts) {
   pen.restore();
 }
 
+// A table as a file that other programs read.
+function asCsv({ columns, rows }) {
+  const quoted = (one) => (/[",\n]/.test(String(one)) ? `"${String(one).replaceAll('"', '""')}"` : String(one));
+  return `data:text/csv;charset=utf-8,${encodeURIComponent([columns, ...rows].map((row) => row.map(quoted).join(",")).join("\r\n"))}`;
+}
+
 function Figure() {
   const { figure, table } = app;
   if (!figure && !table) return null;
@@ -274,7 +317,8 @@ function Figure() {
     set({ figure: null, table: null });
   };
   return html`<div class="figure"><p class="actions"><b>${figure?.title ?? table?.title}</b>
-      ${figure ? html`<a href=${figure.url} download=${figure.file}>Save as SVG</a>` : null}<button class="small" onClick=${close}>Close</button></p>
+      ${figure ? html`<a href=${figure.url} download=${figure.file}>Save as SVG</a>` : null}
+      ${table ? html`<a href=${asCsv(table)} download="table.csv">Save the table as CSV</a>` : null}<button class="small" onClick=${close}>Close</button></p>
     ${figure ? html`<img data-testid="figure" src=${figure.url} alt=${figure.title} />` : null}
     ${table ? html`<table><thead><tr>${table.columns.map((one) => html`<th>${one}</th>`)}</tr></thead>
       <tbody>${table.rows.map((row) => html`<tr>${row.map((one) => html`<td>${one}</td>`)}</tr>`)}</tbody></table>` : null}
@@ -282,8 +326,8 @@ function Figure() {
 }
 
 export function Results() {
-  const runs = app.runs.map((one, k) => [one, k]).filter(([one]) => one.shown);
-  const signals = new Map(runs.flatMap(([one]) => one.signals.map((signal) => [signal.name, signal])));
+  const runs = app.runs.filter((one) => one.shown);
+  const signals = new Map(runs.flatMap((one) => one.signals.map((signal) => [signal.name, signal])));
   return html`<${Kept} /><${Figure} />
     ${[...signals.values()].map((signal) => html`<div class="signal" key=${signal.name}>
       <${Chart} name=${signal.name} runs=${runs} />

@@ -1,8 +1,9 @@
 // The sheet: blocks, ports and wires as SVG; shifting it, dragging of blocks, wiring from port to port.
 
 import { html, useEffect, useRef } from "./vendor/htm-preact-3.1.1.module.js";
-import { app, edit, live, move, readOnly, select, set, valueAt } from "./app.js";
+import { app, cell, chosen, edit, live, move, moveBy, readOnly, select, set, valueAt } from "./app.js";
 import { bring, camera, fit, focusBlock, found, look, place, sheet, zoom } from "./camera.js";
+import { editable, isChosen, selectAll, toggle } from "./selection.js";
 
 const path = (points) => "M" + points.map(([x, y]) => `${x},${y}`).join(" L");
 
@@ -38,6 +39,7 @@ export function follow(moved, done) {
 
 function pan(event) {
   if (event.button !== 0 && event.button !== 1) return;
+  if (event.shiftKey) return band(event);
   const start = [event.clientX - camera.x, event.clientY - camera.y];
   let far = false;
   follow(
@@ -51,27 +53,76 @@ function pan(event) {
   );
 }
 
+// Selects the blocks inside of a frame, beside those that are.
+function band(event) {
+  const [x0, y0] = place(event);
+  const frame = document.querySelector(".rubber");
+  let at = [x0, y0];
+  follow(
+    (next) => {
+      at = place(next);
+      frame.setAttribute("d", `${path([[x0, y0], [at[0], y0], at, [x0, at[1]]])} z`);
+    },
+    (next) => {
+      frame.setAttribute("d", "");
+      if (!next) return;
+      const [left, right] = [Math.min(x0, at[0]), Math.max(x0, at[0])];
+      const [top, bottom] = [Math.min(y0, at[1]), Math.max(y0, at[1])];
+      const inside = app.state.view.blocks.filter(
+        (one) => one.editable && one.x >= left && one.x + one.width <= right && one.y >= top && one.y + one.height <= bottom,
+      );
+      selectAll([...new Set([...chosen(), ...inside.map((one) => one.name)])]);
+    },
+  );
+}
+
+// Where a block would stand: the column or row there, or the gap between two, from start to end [px].
+function span(cells, start, end, at) {
+  const k = cells.findIndex((cell) => at <= cell[end]);
+  const last = cells[cells.length - 1];
+  if (k < 0) return [last[end] + 10, last[end] + 90];
+  if (at >= cells[k][start]) return [cells[k][start], cells[k][end]];
+  return k ? [cells[k - 1][end] + 4, cells[k][start] - 4] : [cells[0][start] - 90, cells[0][start] - 10];
+}
+
+function frameOf(u, v) {
+  const { columns, rows } = app.state.view;
+  const [left, right] = span(columns, "left", "right", u);
+  const [top, bottom] = span(rows, "top", "bottom", v);
+  return `${path([[left, top], [right, top], [right, bottom], [left, bottom]])} z`;
+}
+
 function dragBlock(event, one) {
   if (event.button !== 0) return;
   event.stopPropagation();
-  select({ block: one.name });
+  if (event.shiftKey) {
+    event.preventDefault(); // the focus would select it alone
+    return toggle(one.name);
+  }
+  const together = isChosen(one.name) && chosen().length > 1;
+  if (!together) select({ block: one.name });
   focusBlock(one.name);
   if (readOnly() || !one.editable) return;
-  const group = event.currentTarget;
+  const moved = together ? editable() : [one];
+  const groups = moved.map((each) => document.querySelector(`[data-block="${CSS.escape(each.name)}"]`));
   const [x0, y0] = place(event);
-  const own = new Set([...one.inputs, ...one.outputs].map((port) => `${one.name}.${port.name}`));
+  const own = new Set(moved.flatMap((each) => [...each.inputs, ...each.outputs].map((port) => `${each.name}.${port.name}`)));
   const bare = (end) => end.replace(/\[.*$/, "");
   const attached = app.state.view.wires
     .filter((wire) => own.has(bare(wire.source)) || own.has(bare(wire.target)))
     .map((wire) => [wire, [...document.querySelectorAll(`[data-wire="${CSS.escape(`${wire.source}>${wire.target}`)}"]`)]]);
   const shift = (paths, [dx, dy]) => paths[0]?.parentNode.querySelector(".head").setAttribute("transform", `translate(${dx} ${dy})`);
+  const goal = document.querySelector(".rubber");
   let by = [0, 0];
   follow(
     (next) => {
       const [x, y] = place(next);
       by = [x - x0, y - y0];
-      group.setAttribute("transform", `translate(${by[0]} ${by[1]})`);
-      group.classList.add("dragged");
+      for (const group of groups) {
+        group.setAttribute("transform", `translate(${by[0]} ${by[1]})`);
+        group.classList.add("dragged");
+      }
+      goal.setAttribute("d", frameOf(one.x + by[0] + one.width / 2, one.y + by[1] + one.height / 2));
       for (const [wire, paths] of attached) {
         const [start, end] = [wire.points[0], wire.points[wire.points.length - 1]];
         const from = own.has(bare(wire.source)) ? [start[0] + by[0], start[1] + by[1]] : start;
@@ -81,19 +132,24 @@ function dragBlock(event, one) {
       }
     },
     async (next) => {
-      group.classList.remove("dragged");
+      goal.setAttribute("d", "");
+      for (const group of groups) group.classList.remove("dragged");
       const back = () => {
-        group.removeAttribute("transform");
+        for (const group of groups) group.removeAttribute("transform");
         for (const [wire, paths] of attached) {
           for (const each of paths) each.setAttribute("d", path(wire.points));
           shift(paths, [0, 0]);
         }
       };
-      if (!next || Math.hypot(...by) * camera.k < 4) return back();
+      if (!next || Math.hypot(...by) * camera.k < 4) {
+        if (next && together) select({ block: one.name }); // a click on one of several
+        return back();
+      }
       const view = app.state.view;
       const column = valueAt(view.columns, "left", "right", one.x + by[0] + one.width / 2);
       const row = valueAt(view.rows, "top", "bottom", one.y + by[1] + one.height / 2);
-      await move(one.name, column, row);
+      const [c, r] = cell(one);
+      await (together ? moveBy(moved.map((each) => each.name), column - c, row - r) : move(one.name, column, row));
       back();
     },
   );
@@ -150,15 +206,25 @@ function Mark({ x, y, problem }) {
     <text x=${x} y=${y + (error ? 5.5 : 4)}>${error ? "!" : "?"}</text><title>${problem.what}</title></g>`;
 }
 
+// A port of the diagram itself: a tag with its name at the port that it leads to.
+function Outside({ port, inward }) {
+  const name = port.exposed.map(([name]) => name).join(", ");
+  const tip = port.x + (inward ? -9 : 18);
+  const end = inward ? "end" : "start";
+  return html`<g class="outside"><path d=${`M${tip},${port.y} l-8,-4.5 v9 z`} />
+    <text x=${tip + (inward ? -10 : 3)} y=${port.y + (inward ? 3.5 : -4)} text-anchor=${end}>${name}</text><title>${`port ${name} of this diagram`}</title></g>`;
+}
+
 function Port({ owner, port, side, problem }) {
   const name = `${owner.name}.${port.name}`;
   const shape = port.shape === "scalar" ? "" : `, ${port.shape}`;
-  const said = `${name} [${port.unit}${shape}]${port.wired || port.optional ? "" : ", not wired"}`;
+  const said = `${name} [${port.unit}${shape}]${port.wired || port.optional || port.exposed.length ? "" : ", not wired"}`;
   const inward = side === "in";
   return html`<g class=${`port ${port.wired ? "wired" : "open"}`} data-port=${name} data-side=${side} data-said=${said}
       data-testid=${`port-${name}-${side}`} onPointerDown=${(event) => dragWire(event, name, !inward)}>
     <circle class="hit" cx=${port.x} cy=${port.y} r="8" /><circle class="dot" cx=${port.x} cy=${port.y} r="3.2" />
     ${owner.plain ? null : html`<text x=${port.x + (inward ? 7 : -7)} y=${port.y + 3.5} text-anchor=${inward ? "start" : "end"}>${port.name}</text>`}
+    ${port.exposed.length ? html`<${Outside} port=${port} inward=${inward} />` : null}
     ${port.sign && html`<text class="sign" x=${port.x + 6} y=${port.y + 4}>${port.sign}</text>`}
     <title>${said}</title>
     ${problem && html`<${Mark} x=${port.x + (inward ? -15 : 15)} y=${port.y} problem=${problem} />`}
@@ -166,15 +232,15 @@ function Port({ owner, port, side, problem }) {
 }
 
 function Block({ one, problems }) {
-  const chosen = app.selected?.block === one.name;
+  const selected = isChosen(one.name);
   const middle = one.x + one.width / 2;
   const base = one.y + (one.plain ? one.height / 2 - 3 : 16);
   const own = problems.find((each) => !each.port) ?? problems[0];
-  const classes = ["block", chosen && "chosen", one.editable || "inner", found(one) && "found"].filter((each) => typeof each === "string");
+  const classes = ["block", selected && "chosen", one.editable || "inner", found(one) && "found"].filter((each) => typeof each === "string");
   return html`<g class=${classes.join(" ")} data-block=${one.name} data-testid=${`block-${one.name}`} tabindex="0" role="button"
-      aria-label=${`${one.name}, ${one.kind}${own ? `, ${own.severity}: ${own.what}` : ""}`} aria-pressed=${chosen}
+      aria-label=${`${one.name}, ${one.kind}${own ? `, ${own.severity}: ${own.what}` : ""}`} aria-pressed=${selected}
       onPointerDown=${(event) => dragBlock(event, one)} onFocus=${(event) => {
-        if (!chosen) select({ block: one.name });
+        if (!isChosen(one.name)) select({ block: one.name });
         if (event.currentTarget.matches(":focus-visible")) bring(one.name);
       }}>
     <rect x=${one.x} y=${one.y} width=${one.width} height=${one.height} rx="5" fill=${one.fill} />
@@ -186,10 +252,10 @@ function Block({ one, problems }) {
   </g>`;
 }
 
-const isChosen = (wire) => app.selected?.wire?.[0] === wire.source && app.selected?.wire?.[1] === wire.target;
+const isWireChosen = (wire) => app.selected?.wire?.[0] === wire.source && app.selected?.wire?.[1] === wire.target;
 
 function Wire({ wire }) {
-  const chosen = isChosen(wire);
+  const chosen = isWireChosen(wire);
   const key = `${wire.source}>${wire.target}`;
   const [x, y] = wire.points[wire.points.length - 1];
   const choose = (event) => {
@@ -227,10 +293,10 @@ function picture() {
   }
   const wire = (one) => {
     const key = `${one.source}>${one.target}`;
-    return kept(key, [isChosen(one)], () => html`<${Wire} key=${key} wire=${one} />`);
+    return kept(key, [isWireChosen(one)], () => html`<${Wire} key=${key} wire=${one} />`);
   };
   const block = (one) =>
-    kept(one.name, [selected?.block === one.name, found(one)], () => html`<${Block} key=${one.name} one=${one} problems=${drawn.problems.get(one.name) ?? []} />`);
+    kept(one.name, [isChosen(one.name), found(one)], () => html`<${Block} key=${one.name} one=${one} problems=${drawn.problems.get(one.name) ?? []} />`);
   return kept("", [selected, search], () => html`<g>${view.wires.map(wire)}
     ${view.dots.map(([x, y, colour]) => html`<circle cx=${x} cy=${y} r="2.4" fill=${colour} />`)}${view.blocks.map(block)}</g>`);
 }
@@ -249,8 +315,9 @@ export function Sheet() {
     return () => element?.removeEventListener("wheel", wheel);
   }, [!!view]);
   useEffect(() => {
-    if (view && camera.fitted !== app.state.file) {
-      camera.fitted = app.state.file;
+    const shown = `${app.state.file} ${app.state.part}`;
+    if (view && camera.fitted !== shown) {
+      camera.fitted = shown;
       fit();
     }
   });

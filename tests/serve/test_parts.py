@@ -1,0 +1,137 @@
+"""Sub-diagrams: entering their files, edits inside of them, and what that means outside."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.serve.session import Session
+from rotorsim.serve.store import DiagramFile
+from tests.serve.serving import Page, Served, opened, served, talk
+
+GAINS = {
+    "schema_version": 1,
+    "name": "gains",
+    "parameters": {"k": 2.0},
+    "blocks": {"first": {"type": "gain", "parameters": {"gain": "$k"}}, "second": {"type": "gain"}},
+    "wires": [["first.output", "second.input"]],
+    "ports": {"inputs": {"u": "first.input"}, "outputs": {"y": "second.output"}},
+}
+WHOLE = {
+    "schema_version": 1,
+    "name": "whole",
+    "parameters": {"size": 1.0},
+    "blocks": {
+        "one": {"type": "constant", "parameters": {"value": "$size"}},
+        "gains": {"type": "diagram", "file": "parts/gains.json", "parameters": {"k": 3.0}},
+    },
+    "wires": [["one.output", "gains.u"]],
+    "solver": {"step": 0.01, "stop": 0.1},
+    "record": ["gains.y"],
+}
+
+
+def written(folder: Path) -> Path:
+    (folder / "parts").mkdir()
+    (folder / "parts" / "gains.json").write_text(format_document(GAINS))
+    path = folder / "whole.json"
+    path.write_text(format_document(WHOLE))
+    return path
+
+
+async def inside(at: Served, part: str = "gains") -> Page:
+    page = await opened(at)
+    assert (await page.ask(kind="enter", part=part))["kind"] == "entered"
+    return page
+
+
+def test_the_file_of_a_sub_diagram_is_entered_edited_and_left(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    part = tmp_path / "parts" / "gains.json"
+    before = part.read_bytes()
+    with served(Session(tmp_path, DiagramFile(path))) as at:
+
+        async def talking() -> None:
+            page, outside = await inside(at), await opened(at)
+            state = page.state
+            assert (state["file"], state["part"], state["top"]) == ("gains.json", "gains", "whole.json")
+            assert state["valid"]
+            assert state["problems"] == []  # that its input comes from outside is no mistake here
+            assert [one["name"] for one in state["view"]["blocks"]] == ["first", "second"]
+            assert state["view"]["blocks"][0]["inputs"][0]["exposed"] == [["u", "first.input"]]
+            of_whole = [(one["name"], one["field"], one["written"]) for one in state["parameters"]]
+            assert of_whole == [("size", "size", 1.0), ("gains/k", "gains.k", 3.0)]  # it is what runs
+            result = await page.ask(kind="run", set={"size": 2.0})
+            assert (result["signals"][0]["name"], result["values"][0][-1]) == ("gains/second.output", 6.0)
+            done = await page.edit({"op": "set", "name": "second.gain", "value": 5})
+            assert done["kind"] == "done"
+            assert path.read_text() == format_document(WHOLE)
+            assert part.read_text() == format_document(json.loads(part.read_text()))
+            assert (await outside.ask(kind="run"))["values"][0][-1] == 15.0
+            assert outside.state["part"] == ""
+            assert (await page.edit(*done["undo"], base=done["sha"]))["kind"] == "done"
+            assert part.read_bytes() == before
+            assert (await page.ask(kind="enter", part=""))["kind"] == "entered"
+            assert page.state["file"] == "whole.json"
+
+        talk(talking)
+
+
+def test_an_edit_that_does_not_fit_outside_is_refused_and_taken_back(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    part = tmp_path / "parts" / "gains.json"
+    before = part.read_bytes()
+    with served(Session(tmp_path, DiagramFile(path))) as at:
+
+        async def talking() -> None:
+            page = await inside(at)
+            refused = await page.edit({"op": "port", "side": "outputs", "end": "second.output", "on": False})
+            said = [(one["subject"], one["what"], one["hint"]) for one in refused["problems"]]
+            hint = "this sub-diagram would not fit there any more"
+            assert said == [("gains.y", "sub-diagram has no output 'y'", hint)]
+            assert part.read_bytes() == before
+            assert at.session.file is not None
+            assert at.session.file.state.valid
+            assert (await page.edit({"op": "port", "side": "outputs", "end": "first.output", "on": True}))[
+                "kind"
+            ] == "done"
+
+        talk(talking)
+
+
+def test_what_is_no_sub_diagram_is_not_entered_and_a_page_that_comes_back_is_where_it_was(tmp_path: Path) -> None:
+    with served(Session(tmp_path, DiagramFile(written(tmp_path)))) as at:
+
+        async def talking() -> None:
+            page = await inside(at)
+            for name, wrong in (("one", "one"), ("gain", "gain"), ("gains/first", "first"), ("../whole", "..")):
+                refused = await page.ask(kind="enter", part=name)
+                assert refused["problems"][0]["what"] == f"no sub-diagram '{wrong}'"
+                assert page.state["file"] == "whole.json"
+            again = await opened(at, part="gains")
+            assert again.state["file"] == "gains.json"
+            gone = await opened(at, part="gone")
+            assert gone.state["file"] == "whole.json"
+            answer, _ = at.ask("/api/picture?part=gains", X_Rotorsim_Token="token-of-the-tests")
+            assert answer.status == 200
+
+        talk(talking)
+
+
+def test_blocks_are_grouped_and_the_group_is_entered_at_once(mine: Path) -> None:
+    with served(Session(mine.parent, DiagramFile(mine))) as at:
+
+        async def talking() -> None:
+            page = await opened(at)
+            before: dict[str, Any] = await page.ask(kind="run")
+            done = await page.edit({"op": "group", "blocks": ["controller", "amb"], "name": "bearing"})
+            assert done["kind"] == "done"
+            after = await page.ask(kind="run")
+            assert (after["values"] == before["values"]).all()
+            page = await inside(at, "bearing")
+            assert [one["name"] for one in page.state["view"]["blocks"]] == ["controller", "amb"]
+            assert page.state["problems"] == []
+
+        talk(talking)
