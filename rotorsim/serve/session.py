@@ -241,7 +241,7 @@ class Session:
             elif node is not None and key in node.block.options:
                 option_value(value, node.block.options[key])
             else:
-                numeric(value, diagram.unit_of_parameter(name))
+                numeric(value, diagram.unit_of_parameter(f"{block}/{key}" if block in diagram.sub_ports else name))
         except ValueProblem as error:
             problem, hint = error.what, error.hint
         except UnitError as error:

@@ -37,7 +37,7 @@ def view_of(diagram: Diagram, opened: Collection[str] = ()) -> Data:
         "height": sheet.height,
         "columns": [_cell(cell, "left", "right") for cell in sheet.columns],
         "rows": [_cell(cell, "top", "bottom") for cell in sheet.rows],
-        "blocks": [_block(box, document.get("blocks", {}), wired, exposed) for box in sheet.boxes.values()],
+        "blocks": [_block(diagram, box, wired, exposed) for box in sheet.boxes.values()],
         "wires": [_wire(sheet, drawn, colour[drawn.signal]) for drawn in sheet.wires],
         "dots": [[round(x, 1), round(y, 1), colour[signal]] for (x, y), signal in sheet.dots],
         "parameters": parameters_of(diagram),
@@ -55,9 +55,9 @@ def _cell(cell: Cell, start: str, end: str) -> Data:
     return {"value": cell.value, start: round(cell.start, 1), end: round(cell.end, 1)}
 
 
-def _block(box: Box, written: Mapping[str, Any], wired: set[tuple[str, str]], exposed: Exposed) -> Data:
+def _block(diagram: Diagram, box: Box, wired: set[tuple[str, str]], exposed: Exposed) -> Data:
     node = box.node
-    entry = written.get(node.name)
+    entry = diagram.document.get("blocks", {}).get(node.name)
     own = entry.get("parameters", {}) if isinstance(entry, Mapping) else {}
     return {
         "name": node.name,
@@ -73,7 +73,7 @@ def _block(box: Box, written: Mapping[str, Any], wired: set[tuple[str, str]], ex
         "entry": entry,
         "inputs": [_port(box, node.inputs[name], wired, exposed, is_input=True) for name in box.inputs],
         "outputs": [_port(box, node.outputs[name], wired, exposed, is_input=False) for name in box.outputs],
-        **(_of_part(own) if isinstance(node, Part) else _of_node(node, own)),
+        **(_of_part(diagram, node.name, own) if isinstance(node, Part) else _of_node(node, own)),
     }
 
 
@@ -89,12 +89,21 @@ def _of_node(node: Node, own: Mapping[str, Any]) -> Data:
     }
 
 
-def _of_part(own: Mapping[str, Any]) -> Data:
-    """Return what is said of a closed sub-diagram: the values that are given to it here."""
-    plain = {"follows": "", "unit": "any", "doc": "a parameter of the sub-diagram", "required": False}
-    given = [{"name": name, "value": str(value), "written": value, **plain} for name, value in own.items()]
+def _of_part(diagram: Diagram, name: str, own: Mapping[str, Any]) -> Data:
+    """Return what is said of a closed sub-diagram: its parameters, given here or not."""
+    inner = [one.removeprefix(f"{name}/") for one in diagram.parameters if one.startswith(f"{name}/")]
+    parameters = []
+    for key in dict.fromkeys([*own, *(one for one in inner if "/" not in one)]):
+        given = own.get(key)
+        followed = given[1:] if isinstance(given, str) and given.startswith("$") else ""
+        meant = followed or f"{name}/{key}"
+        unit = diagram.parameter_units.get(meant)
+        value = value_text(diagram.parameters[meant], unit) if meant in diagram.parameters else str(given)
+        doc = "a parameter of the sub-diagram"
+        data = {"name": key, "value": value, "written": given, "follows": followed, "unit": _unit(unit), "doc": doc}
+        parameters.append(data | {"required": False})
     summary = "A sub-diagram: it has a file of its own."
-    return {"type": "diagram", "summary": summary, "parameters": given, "options": [], "part": "", "closed": True}
+    return {"type": "diagram", "summary": summary, "parameters": parameters, "options": [], "part": "", "closed": True}
 
 
 def _port(box: Box, port: Port, wired: set[tuple[str, str]], exposed: Exposed, *, is_input: bool) -> Data:

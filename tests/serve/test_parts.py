@@ -79,6 +79,27 @@ def test_the_file_of_a_sub_diagram_is_entered_edited_and_left(tmp_path: Path) ->
         talk(talking)
 
 
+def test_parameters_of_a_sub_diagram_are_shown_given_and_taken_back(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    part = {**GAINS, "parameters": {"k": "2 m", "free": "3 m"}}
+    (tmp_path / "parts" / "gains.json").write_text(format_document(part))
+    path.write_text(path.read_text().replace('"k": 3.0', '"k": "$size"').replace('"size": 1.0', '"size": "1 m"'))
+    with served(Session(tmp_path, DiagramFile(path))) as at:
+
+        async def talking() -> None:
+            page = await opened(at)
+            [one] = [block for block in page.state["view"]["blocks"] if block["name"] == "gains"]
+            said = [(each["name"], each["written"], each["follows"]) for each in one["parameters"]]
+            assert said == [("k", "$size", "size"), ("free", None, "")]
+            assert (await page.edit({"op": "set", "name": "gains.free", "value": 5.0}))["kind"] == "done"
+            assert json.loads(path.read_text())["blocks"]["gains"]["parameters"]["free"] == 5.0
+            assert (await page.edit({"op": "set", "name": "gains.free", "value": None}))["kind"] == "done"
+            wrong = await page.ask(kind="value", name="gains.k", value="1 furlong")
+            assert wrong["problem"] == "unknown unit 'furlong'"
+
+        talk(talking)
+
+
 def test_an_edit_that_does_not_fit_outside_is_refused_and_taken_back(tmp_path: Path) -> None:
     path = written(tmp_path)
     part = tmp_path / "parts" / "gains.json"
