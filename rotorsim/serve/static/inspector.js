@@ -115,7 +115,7 @@ function Ports({ title, one, side }) {
     const own_wires = wires.filter((wire) => wire[own].replace(/\[.*$/, "") === name);
     return html`<li key=${port.name}><b>${port.name}</b> ${port.unit === "1" ? "" : port.unit} <span class="shape">${port.shape}</span>
       ${own_wires.length || port.exposed.length ? null : html` <span class="shape">${port.optional ? "not wired, may stay so" : "not wired"}</span>`}
-      ${side === "outputs" && one.editable && !readOnly() ? recorder(name) : null}
+      ${side === "outputs" && one.editable && !readOnly() && !app.state.part ? recorder(name) : null}
       ${outside && one.editable && !readOnly() ? exposer(name, port) : null}
       ${own_wires.map((wire) => html`<button class="link" title="To the wire" onClick=${() => toWire(wire)}>${other === "source" ? "from" : "to"} ${wire[other]}</button>`)}</li>`;
   })}</ul>`;
@@ -175,7 +175,7 @@ function OfWire({ wire }) {
   return html`<h2>Wire</h2><p>${end(wire.source)} to ${end(wire.target)}</p>
     <p>unit ${wire.unit}, ${wire.shape === "scalar" ? "a scalar" : `shape ${wire.shape}`}</p>
     ${readOnly() ? null : html`<p class="actions"><button data-testid="remove" onClick=${remove}>Cut</button>
-      <button onClick=${record}>${recorded ? "Do not record" : "Record"} ${wire.source}</button></p>`}`;
+      ${app.state.part ? null : html`<button onClick=${record}>${recorded ? "Do not record" : "Record"} ${wire.source}</button>`}</p>`}`;
 }
 
 export function Inspector() {
@@ -190,5 +190,5 @@ export function Inspector() {
     ${app.state.part && view?.parameters.length
       ? html`<h3>Parameters, where they are not given outside</h3>${view.parameters.map((item) => html`<${Field} key=${item.name} name=${item.name} label=${item.name} item=${item} />`)}`
       : null}
-    <h3>Recorded</h3><ul class="ports">${view?.record.map((signal) => html`<li>${signal}</li>`)}</ul>`;
+    ${app.state.part ? null : html`<h3>Recorded</h3><ul class="ports">${view?.record.map((signal) => html`<li>${signal}</li>`)}</ul>`}`; // what is recorded, the whole diagram says
 }
