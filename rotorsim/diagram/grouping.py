@@ -39,7 +39,7 @@ def group(data: Mapping[str, Any], blocks: Collection[str], name: str, file: str
         outer["wires"] = [list(wire) for wire in dict.fromkeys(tuple(wire) for wire in seen if wire)]
     for side, ends in outer.get("ports", {}).items():
         ends.update({port: border.exposed(written, side == "inputs", name) for port, written in ends.items()})
-    outer["blocks"] = _with_block(entries, own, name, {"type": "diagram", "file": file, **_followed(own)})
+    outer["blocks"] = _with_entries(entries, own, {name: {"type": "diagram", "file": file, **_followed(own)}}, name)
     _rename(outer, lambda block: f"{name}/{block}" if block in own else block)
     inner: Document = {"schema_version": 1, "name": name}
     parameters = {key: outer["parameters"][key] for key in _names_followed(own) if key in outer.get("parameters", {})}
@@ -51,8 +51,8 @@ def group(data: Mapping[str, Any], blocks: Collection[str], name: str, file: str
     places = {one: at for one, at in outer.get("layout", {}).items() if one in own}
     if places:
         inner["layout"] = places
-        rest = {one: at for one, at in outer["layout"].items() if one not in own}
-        outer["layout"] = rest | {name: [sum(at[k] for at in places.values()) / len(places) for k in (0, 1)]}
+        middle = [sum(at[k] for at in places.values()) / len(places) for k in (0, 1)]
+        outer["layout"] = _with_entries(outer["layout"], places, {name: middle}, name)
     return outer, inner
 
 
@@ -94,7 +94,7 @@ def dissolve(data: Mapping[str, Any], name: str, inner: Mapping[str, Any]) -> Do
     folder = PurePosixPath(str(entry.get("file", ""))).parent
     for block in own.values():
         block |= {"file": (folder / block["file"]).as_posix()} if "file" in block else {}
-    outer["blocks"] = _with_block(entries, {name: entry}, "", {}, own)
+    outer["blocks"] = _with_entries(entries, [name], own, name)
     if "record" in outer:
         signals = (_ends_inside(one, name, ports.get("outputs", {}), renamed) for one in outer["record"])
         outer["record"] = [signal for ends in signals for signal in ends]
@@ -105,11 +105,13 @@ def dissolve(data: Mapping[str, Any], name: str, inner: Mapping[str, Any]) -> Do
         return names.get(first, first) + slash + more if part == name and rest else block
 
     _rename(outer, out)
-    at = outer.get("layout", {}).pop(name, None)
-    places = inner.get("layout", {})
-    if at is not None and set(places) >= set(names):
-        middle = [sum(place[k] for place in places.values()) / len(places) for k in (0, 1)]
-        outer["layout"] |= {new: [at[k] + places[one][k] - middle[k] for k in (0, 1)] for one, new in names.items()}
+    at, places = outer.get("layout", {}).get(name), inner.get("layout", {})
+    if at is not None:
+        moved: Document = {}
+        if set(places) >= set(names):
+            middle = [sum(place[k] for place in places.values()) / len(places) for k in (0, 1)]
+            moved = {new: [at[k] + places[one][k] - middle[k] for k in (0, 1)] for one, new in names.items()}
+        outer["layout"] = _with_entries(outer["layout"], [name], moved, name)
     return outer
 
 
@@ -192,15 +194,12 @@ def _with_values(block: Document, values: Mapping[str, Any]) -> Document:
     return block
 
 
-def _with_block(
-    entries: Document, gone: Collection[str], name: str, entry: Document, more: Mapping[str, Any] | None = None
-) -> Document:
-    """Return blocks without some; what comes for them stands where the first of them stood, or that of its name."""
-    new = {name: entry} if name else dict(more or {})
-    at = name if name in gone else next(one for one in entries if one in gone)
+def _with_entries(entries: Mapping[str, Any], gone: Collection[str], new: Mapping[str, Any], name: str) -> Document:
+    """Return entries without some; what comes for them stands where that of ``name`` stood, else the first of them."""
+    at = name if name in gone and name in entries else next(one for one in entries if one in gone)
     found: Document = {}
-    for one, block in entries.items():
-        found |= new if one == at else {} if one in gone else {one: block}
+    for one, held in entries.items():
+        found |= new if one == at else {} if one in gone or one in new else {one: held}
     return found
 
 
