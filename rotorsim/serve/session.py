@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -30,6 +31,7 @@ from rotorsim.serve.view import palette_of, parameters_of, problem_of_block, sha
 from rotorsim.units import UnitError, compatible
 
 Data = dict[str, Any]
+MOST_ANSWERS = 200  # to edits, that are kept for pages whose connection broke before they heard
 
 
 @dataclass
@@ -48,6 +50,7 @@ class Session:
     outcomes: Outcomes = field(default_factory=Outcomes)
     part: str = ""
     outer: Session | None = None
+    answered: OrderedDict[str, Data] = field(default_factory=OrderedDict)  # edits by key: asked again, not made again
     _inner: dict[str, Session] = field(default_factory=dict)
 
     def inner(self, part: str) -> Session:
@@ -186,7 +189,9 @@ class Session:
         return diagram
 
     def _edit(self, message: Mapping[str, Any]) -> Data:
-        operations, base = message.get("operations"), message.get("base")
+        operations, base, key = message.get("operations"), message.get("base"), message.get("key")
+        if isinstance(key, str) and key in self.answered:
+            return self.answered[key]
         if not isinstance(operations, list) or not operations or not isinstance(base, str):
             raise RotorsimError(Problem("an edit has a base and operations", "edit"))
         file = self._open()
@@ -197,7 +202,12 @@ class Session:
             self._broken_outside()
             hint = "this sub-diagram would not fit there any more"
             raise RotorsimError(*(replace(problem, hint=hint) for problem in now))
-        return {"kind": "done", "sha": edited.sha, "undo": edited.undo, "redo": edited.redo}
+        done = {"kind": "done", "sha": edited.sha, "undo": edited.undo, "redo": edited.redo}
+        if isinstance(key, str):
+            self.answered[key] = done
+            while len(self.answered) > MOST_ANSWERS:
+                self.answered.popitem(last=False)
+        return done
 
     def _broken_outside(self) -> list[Problem]:
         """Return what is wrong in the diagrams that this one is a part of, where they cannot be drawn."""

@@ -51,6 +51,21 @@ def test_the_state_has_all_that_is_drawn(at: Served) -> None:
     talk(talking)
 
 
+def test_an_edit_that_is_asked_again_is_made_once(at: Served, mine: Path) -> None:
+    async def talking() -> None:
+        page = await opened(at)
+        adding = {"op": "add", "type": "gain", "at": [1, 4]}
+        base = page.state["sha"]
+        first = await page.edit(adding, base=base, key="7f0c")
+        again = await page.edit(adding, base=base, key="7f0c")
+        assert again | {"id": 0} == first | {"id": 0}
+        assert [name for name in json.loads(mine.read_text())["blocks"] if "gain" in name] == ["gain"]
+        other = await page.edit(adding, base=base, key="7f0d")
+        assert (other["kind"], "gain2" in json.loads(mine.read_text())["blocks"]) == ("done", True)
+
+    talk(talking)
+
+
 def test_two_pages_agree_and_hand_edits_appear(at: Served, mine: Path) -> None:
     async def talking() -> None:
         one, two = await opened(at), await opened(at)

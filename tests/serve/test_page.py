@@ -18,6 +18,7 @@ from click.testing import CliRunner
 
 from rotorsim.cli.app import rotorsim
 from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.serve.live import Live
 from rotorsim.serve.session import Session
 from rotorsim.serve.store import DiagramFile
 from tests.serve.serving import TOKEN, Served, served
@@ -180,6 +181,30 @@ def test_a_value_is_set_undone_and_done_again(at: Served, open_page: Open, mine:
     changed(mine, lambda document: document["blocks"]["rotor"]["parameters"]["mass"] == "2 kg")
     by(page, "redo").click()
     changed(mine, lambda document: document["blocks"]["rotor"]["parameters"]["mass"] == "3 kg")
+
+
+def test_an_edit_whose_answer_is_lost_can_be_undone(
+    at: Served, open_page: Open, mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = open_page(at)
+    send, broken = Live.send, []
+
+    def lose(self: Live, data: Any) -> None:
+        if data.get("kind") == "done" and not broken:
+            broken.append(data)
+            self.close()
+        else:
+            send(self, data)
+
+    monkeypatch.setattr(Live, "send", lose)
+    by(page, "block-rotor").click()
+    by(page, "param-rotor.mass").fill("3 kg")
+    by(page, "param-rotor.mass").press("Enter")
+    changed(mine, lambda document: document["blocks"]["rotor"]["parameters"]["mass"] == "3 kg")
+    expect(by(page, "undo")).to_be_enabled(timeout=15_000)
+    assert len(broken) == 1
+    by(page, "undo").click()
+    changed(mine, lambda document: document["blocks"]["rotor"]["parameters"]["mass"] == "2 kg")
 
 
 def test_a_controller_is_swapped_with_its_values_kept(at: Served, open_page: Open, mine: Path) -> None:

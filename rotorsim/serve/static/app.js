@@ -110,7 +110,7 @@ async function send(operations, { base, mine = false, title, where = "new" } = {
   awaited = null;
   const known = base ?? app.sha;
   const before = new Set(app.state.view.blocks.map((one) => one.name));
-  const found = await live.ask({ kind: "edit", base: known, operations, mine });
+  const found = await live.askOnce({ kind: "edit", base: known, operations, mine });
   const words = title ?? name_of(operations);
   if (found.kind === "done") {
     const step = { back: found.undo, title: words };
@@ -129,10 +129,8 @@ async function send(operations, { base, mine = false, title, where = "new" } = {
   }
   if (found.kind === "conflict") {
     set({ dialog: { kind: "conflict", found, operations, title: words, where } });
-  } else if (found.kind === "refused") {
-    set({ refused: found.problems, said: `not done: ${found.problems[0].what}` });
   } else {
-    set({ said: `not done: ${words}; there is no connection to rotorsim serve` });
+    set({ refused: found.problems, said: `not done: ${found.problems[0].what}` });
   }
   return false;
 }

@@ -43,6 +43,7 @@ export class Live {
     this.lost = lost;
     this.count = 0;
     this.waiting = new Map();
+    this.back = []; // who waits for the connection
     this.connect();
   }
 
@@ -64,6 +65,7 @@ export class Live {
     if (data.kind === "state") {
       shown.part = data.part ?? "";
       this.told(data);
+      for (const go of this.back.splice(0)) go();
     }
     const request = this.waiting.get(data.id);
     if (!request) return;
@@ -83,6 +85,16 @@ export class Live {
       this.socket.send(JSON.stringify({ ...message, id }));
       message.started?.(id);
     });
+  }
+
+  // The same for an edit: where the connection breaks it is asked again, with its key, and made once.
+  async askOnce(message) {
+    const keyed = { ...message, key: crypto.randomUUID() };
+    for (;;) {
+      const found = await this.ask(keyed);
+      if (found.kind !== "lost") return found;
+      await new Promise((go) => this.back.push(go));
+    }
   }
 
   cancel(id) {
