@@ -206,7 +206,8 @@ def test_matrices_give_the_sizes_of_a_state_space_block() -> None:
     assert loaded.nodes["s"].state_shapes == {"value": (2,)}
     assert loaded.nodes["s"].values["D"].shape == (3, 1)
     wrong = diagram({"c": "constant", "s": block("linear_system", **{**matrices, "B": [[0]]})}, ("c.output", "s.input"))
-    assert mistakes(wrong) == [": s.B: shape is (1, 1), expected (2, ?) | write a list of rows [[...], ...]"]
+    said = ": s.B: shape is (1, 1), expected (2, ?) | write a list of rows [[...], ...]: [n, inputs]"
+    assert mistakes(wrong) == [said]
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from rotorsim.block import Block, Shape
@@ -62,7 +64,7 @@ class Fitting:
                 name,
                 ValueProblem(
                     f"{origin}shape is {text_of(value.shape)}, expected {wanted}",
-                    "write one number" if wanted == "scalar" else _list_hint(wanted),
+                    "write one number" if wanted == "scalar" else _list_hint(draft.cls.parameters[name].shape, term),
                 ),
             )
             draft.given[name] = np.array(value.flat[0])
@@ -287,6 +289,9 @@ class Fitting:
         return filled(value, shape)
 
 
-def _list_hint(wanted: str) -> str:
-    rows = wanted.count(",") > 1 or wanted.endswith("?)")
-    return "write a list of rows [[...], ...]" if rows else "write a list [...]"
+def _list_hint(declared: Any, term: ShapeTerm) -> str:
+    """Return how a list of this shape is written; the words of the declaration say what its rows are."""
+    if not isinstance(term, tuple) or len(term) < 2:
+        return "write a list [...]"
+    words = f": [{', '.join(map(str, declared))}]" if isinstance(declared, tuple) else ""
+    return f"write a list of rows [[...], ...]{words}"
