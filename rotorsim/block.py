@@ -335,7 +335,8 @@ class Block:
         """Return mistakes in options and in the parameters given (default: none), each where it is written.
 
         A mistake is the name of the option or parameter, the indices in its list, what is wrong, and a hint. They are
-        told beside all other mistakes of the diagram. given: SI arrays as written, without defaults, of any shape.
+        told beside all other mistakes of the diagram. given: SI arrays as written, without defaults, of any shape; NaN
+        for what is written, but no such value, which is said already.
         """
         return []
 

@@ -36,8 +36,8 @@ class Casing(Block):
 
     def check_given(self, given):
         """Refuse a casing that turns over."""
-        feet = given.get("feet")
-        if self.option.tilts and (feet is None or len(set(feet.ravel().tolist())) < 2):
+        feet = given["feet"].ravel().tolist() if "feet" in given else []
+        if self.option.tilts and len(set(feet)) < 2 and all(z == z for z in feet):
             hint = "give two positions or more in feet, or leave tilts out"
             return [("tilts", (), "a casing that tilts needs feet at two positions", hint)]
         return []

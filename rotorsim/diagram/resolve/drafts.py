@@ -113,8 +113,9 @@ class Drafter:
                 raw.place("parameters"),
                 "each name once; letters, digits and _, not a digit first",
             )
+        unread = {name: np.array(np.nan) for name in raw.parameters if name in cls.parameters and name not in given}
         try:
-            mistakes = template.block.check_given(given)
+            mistakes = template.block.check_given({**given, **unread})
         except Exception as error:  # the code of the block is foreign
             what = f"check of block type '{cls.type_name}' fails: {type(error).__name__}: {error}"
             self.problems.error(what, raw.name, raw.place(), f"see `rotorsim blocks {cls.type_name}`")
