@@ -5,7 +5,7 @@ Source: Friswell, Penny, Garvey & Lees, Dynamics of Rotating Machines (2010), se
 thesis Appendix B is the case without shear and rotary inertia.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from math import sqrt
 from typing import Any
 
@@ -25,6 +25,12 @@ GAUSS = [  # points and weights on [0, 1], exact for polynomials of degree 9
 def entry(values: Any, k: int) -> Any:
     """Return entry k of a parameter that has one for each element or disc, or one for all."""
     return values[k] if values.shape[0] > 1 else values
+
+
+def each(values: Iterable[Any], count: int) -> list[tuple[Any, ...]]:
+    """Return for each element or disc its entries of several parameters."""
+    every = list(values)
+    return [tuple(entry(one, k) for one in every) for k in range(count)]
 
 
 def shear_coefficient(poisson_ratio: Any, inner: Any, outer: Any) -> Any:
@@ -91,8 +97,14 @@ def conical(
 ) -> tuple[Table, Table, Table]:
     """Return stiffness, mass of translation and mass of rotary inertia of an element whose section varies.
 
-    section: area and second moment at a fraction of the length, polynomials of degree 2 and 4, so that the quadrature
-    is exact; middle: those in the middle, which phi is of. Shapes are those of a cylinder with this phi.
+    K = int E I N_k'^T N_k' + kappa G A g^T g dz,   M = int rho A N_u^T N_u dz,   R = int rho I N_k^T N_k dz
+
+    by the strain and kinetic energy of Timoshenko's beam with the displacement N_u q, the slope N_k q and the shear
+    strain g q of a cylinder with the phi of the middle. section: area A and second moment I at a fraction of the
+    length: of a cone polynomials of degree 2 and 4, so that the quadrature is exact; middle: those in the middle.
+    Shapes of a cylinder are too stiff for a cone: its static bending is exact but for the fourth power of the length of
+    the elements, its shear but for the square.
+    Source: Friswell et al. (2010), sec. 5.4 (energies); Genta & Gugliotta, J. Sound Vib. 120 (1988) 175 (cones).
     """
     tables: tuple[Table, Table, Table] = tuple([[0.0] * 4 for _ in range(4)] for _ in range(3))
     f, (area_m, second_m) = 1 / (1 + phi), middle

@@ -1,8 +1,10 @@
 """What a rotor looks like from the side: sections, discs and the places where something can be wired."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
 from math import pi, sqrt
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,11 @@ class Section:
         ends = (self.outer_end, self.outer), (self.inner_end, self.inner)
         outer, inner = (begin if end is None else end for end, begin in ends)
         return (self.outer, outer), (self.inner, inner)
+
+    def outer_at(self, z: float) -> float:
+        """Return the outer diameter [m] at an axial position."""
+        (begin, end), _ = self.diameters
+        return begin + (end - begin) * (z - self.begin) / (self.end - self.begin)
 
     @property
     def mass(self) -> float:
@@ -103,6 +110,35 @@ def cylinder(mass_density: float, outer: float, inner: float, width: float) -> t
     mass = mass_density * pi / 4 * (outer**2 - inner**2) * width
     polar = mass * (outer**2 + inner**2) / 8
     return mass, polar, polar / 2 + mass * width**2 / 12
+
+
+def sections_of(option: Any, values: Mapping[str, Any]) -> list[Section]:
+    """Return the sections of a rotor_drawing; values: parameters as SI arrays. None where these do not fit."""
+    count, borders = len(option.section_lengths), [0.0, *accumulate(option.section_lengths)]
+    straight = [full(values.get(key, 0.0), count) for key in ("outer_diameter", "inner_diameter", "density")]
+    cones = option.conical_sections
+    ends = [full(values.get(f"end_{side}_diameter", 0.0), len(cones)) for side in ("outer", "inner")]
+    if (
+        {len(one) for one in straight} != {count}
+        or {len(one) for one in ends} != {len(cones)}
+        or max((0, *cones)) > count
+    ):
+        return []
+    sections = [Section(*both, *row) for both, *row in zip(pairwise(borders), *straight, strict=True)]
+    return tapered(sections, cones, zip(*ends, strict=True))
+
+
+def tapered(pieces: Sequence[Any], numbers: Sequence[int], ends: Iterable[tuple[Any, Any]]) -> list[Any]:
+    """Return sections or beams, those of some numbers (from 1) with outer and inner diameters at their other ends."""
+    found = list(pieces)
+    for k, (outer, inner) in zip(numbers, ends, strict=True):
+        found[k - 1] = replace(found[k - 1], outer_end=outer, inner_end=inner)
+    return found
+
+
+def sleeve_ends(option: Any) -> list[tuple[float, float]]:
+    """Return where the sleeves of a rotor_drawing begin and end [m]."""
+    return [(z, z + length) for z, length in zip(option.sleeve_begins, option.sleeve_lengths, strict=False)]
 
 
 def full(values: Sequence[float] | float, count: int) -> list[float]:

@@ -11,7 +11,7 @@ Source: Friswell, Penny, Garvey & Lees, Dynamics of Rotating Machines (2010), ch
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from math import pi
 from typing import Any
 
@@ -21,6 +21,7 @@ from rotorsim.blocks.common.beam import Banded, solve_factored
 from rotorsim.block import Equations, matrix
 
 Row = list[tuple[int, Any]]  # number of a free degree of freedom, coefficient
+SIZES = ("outer_diameter", "inner_diameter", "young_modulus", "density", "poisson_ratio")  # of a Beam, as parameters
 
 
 @dataclass(frozen=True)
@@ -83,12 +84,19 @@ class Beam:
         return 12 * self.young_modulus * self.second_moment / (kappa * shear * self.area * self.length**2)
 
 
+def piece(one: Beam, begin: float, end: float, length: Any) -> Beam:
+    """Return the piece of a beam between two fractions of its length, which is so long [m]; of a cone a cone."""
+    if one.outer_end is None:
+        return replace(one, length=length)
+    (outer, inner), (outer_end, inner_end) = one.diameters(begin), one.diameters(end)
+    return replace(one, length=length, outer=outer, inner=inner, outer_end=outer_end, inner_end=inner_end)
+
+
 def divided(one: Beam, parts: int) -> list[Beam]:
     """Return a beam whose length is that of a part, as these parts: a cone tapers over all of them."""
     if one.outer_end is None:
         return [one] * parts
-    ends = [one.diameters(k / parts) for k in range(parts + 1)]
-    return [replace(one, outer=a[0], inner=a[1], outer_end=b[0], inner_end=b[1]) for a, b in pairwise(ends)]
+    return [piece(one, k / parts, (k + 1) / parts, one.length) for k in range(parts)]
 
 
 @dataclass(frozen=True)
@@ -128,11 +136,14 @@ class Shaft:
         for e, one in enumerate(beams):
             self.add_beam(e, one)
 
-    def add_beam(self, e: int, one: Beam) -> None:
-        """Put a beam at place e (from 0) of the chain; a second one there is a sleeve, with the same ends."""
+    def add_beam(self, e: int, one: Beam, share: Any = 1.0) -> None:
+        """Put a beam at place e (from 0) of the chain; a second one there is a sleeve, with the same ends.
+
+        share: of its stiffness that counts; its mass and inertias count in full.
+        """
         phi = one.phi if self._timoshenko else 0.0
         bending, translation, rotary = one.tables(phi)
-        parts = [(self.stiffness, bending, 1.0), (self.mass, translation, 1.0)]
+        parts = [(self.stiffness, bending, share), (self.mass, translation, 1.0)]
         if self._rotary_inertia:
             parts.append((self.mass, rotary, 1.0))
         if self._gyroscopic:

@@ -1,17 +1,14 @@
 """Rotor of beam elements with discs."""
 
-from dataclasses import replace
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from typing import Any
 
-from rotorsim.blocks.common.beam import entry
-from rotorsim.blocks.common.drawing import Drawing, Section, equivalent_disc, full
-from rotorsim.blocks.common.shaft import Beam, Place, Shaft, divided
+from rotorsim.blocks.common.beam import each, entry
+from rotorsim.blocks.common.drawing import Drawing, Section, equivalent_disc, full, tapered
+from rotorsim.blocks.common.shaft import SIZES, Beam, Place, Shaft, divided
 
 from rotorsim.block import Block, In, Option, Out, Param, State
 from rotorsim.fault import Fault
-
-_SLEEVE = ("outer_diameter", "inner_diameter", "young_modulus", "density", "poisson_ratio")
 
 
 def _nodes(option: Any) -> tuple[int, int]:
@@ -30,8 +27,8 @@ class RotorFe(Block):
     q: displacement and slope of every node in the planes of x and y (slope = du/dz). With q_1 + i q_2 the
     gyroscopic term is -i W G q', which raises forward modes; the thesis' eq. (3.2) has the opposite sign.
     Element matrices: Euler-Bernoulli or Timoshenko, consistent mass; shaft rotary inertia and shaft
-    gyroscopic moments are options. A conical element has the shapes of the cylinder of its middle; a sleeve adds its
-    own matrices to those of its element. Nodes count from 1 along the shaft. Rayleigh damping acts on the
+    gyroscopic moments are options. A conical element has the shapes of the cylinder of its middle; a sleeve, conical or
+    not, adds its own matrices to those of its element. Nodes count from 1 along the shaft. Rayleigh damping acts on the
     elements of the shaft, eq. (C.4), disc_damping on the displacement of each disc. M is factored once (banded
     L D L^T); cost grows linearly with elements.
     """
@@ -70,6 +67,7 @@ class RotorFe(Block):
     pinned_nodes = Option([], kind=int, low=1, doc="nodes whose displacement is held at zero")
     conical_elements = Option([], kind=int, low=1, doc="elements whose diameters change evenly along them; from 1")
     sleeve_elements = Option([], kind=int, low=1, doc="elements that a sleeve is shrunk on, in parallel; from 1")
+    conical_sleeves = Option([], kind=int, low=1, doc="sleeves whose diameters change evenly along them; from 1")
     element_length = Param(0.1, shape=("elements",), unit="m", above=0.0, doc="length of each element, or of all")
     outer_diameter = Param(0.016, shape=("elements",), unit="m", above=0.0, doc="outer diameter of each element")
     inner_diameter = Param(0.0, shape=("elements",), unit="m", low=0.0, doc="inner diameter of each element")
@@ -86,6 +84,12 @@ class RotorFe(Block):
     poisson_ratio = Param(0.3, shape=("elements",), above=-1.0, high=0.5, doc="Poisson's ratio (theory timoshenko)")
     sleeve_outer_diameter = Param(0.1, shape=("sleeve_elements",), unit="m", above=0.0, doc="of each sleeve")
     sleeve_inner_diameter = Param(0.05, shape=("sleeve_elements",), unit="m", low=0.0, doc="of each sleeve")
+    sleeve_end_outer_diameter = Param(
+        0.1, shape=("conical_sleeves",), unit="m", above=0.0, doc="outer diameter at the end of each conical sleeve"
+    )
+    sleeve_end_inner_diameter = Param(
+        0.05, shape=("conical_sleeves",), unit="m", low=0.0, doc="inner diameter at the end of each conical sleeve"
+    )
     sleeve_young_modulus = Param(2.1e11, shape=("sleeve_elements",), unit="N/m^2", above=0.0, doc="of each sleeve")
     sleeve_density = Param(7850.0, shape=("sleeve_elements",), unit="kg/m^3", low=0.0, doc="of each sleeve")
     sleeve_poisson_ratio = Param(0.3, shape=("sleeve_elements",), above=-1.0, high=0.5, doc="of each sleeve")
@@ -112,16 +116,19 @@ class RotorFe(Block):
         ]
         if len(set(self.option.pinned_nodes)) != len(self.option.pinned_nodes):
             problems.append("pinned_nodes names a node twice")
-        count = self.option.elements
-        problems += [
-            f"{name} has element {e}; the rotor has elements 1 to {count}"
-            for name in ("conical_elements", "sleeve_elements")
-            for e in getattr(self.option, name)
-            if not 1 <= e <= count
-        ]
-        if len(set(self.option.conical_elements)) != len(self.option.conical_elements):
-            problems.append("conical_elements names an element twice")
-        there = {"": True, "end_": self.option.conical_elements, "sleeve_": self.option.sleeve_elements}
+        sleeves = len(self.option.sleeve_elements)
+        for name, of, count in (
+            ("conical_elements", "element", self.option.elements),
+            ("sleeve_elements", "element", self.option.elements),
+            ("conical_sleeves", "sleeve", sleeves),
+        ):
+            wrong = [k for k in getattr(self.option, name) if not 1 <= k <= count]
+            problems += [f"{name} has {of} {k}; the rotor has {of}s 1 to {count}" for k in wrong]
+        for name, of in (("conical_elements", "an element"), ("conical_sleeves", "a sleeve")):
+            if len(set(getattr(self.option, name))) != len(getattr(self.option, name)):
+                problems.append(f"{name} names {of} twice")
+        there = {"": True, "end_": self.option.conical_elements, "sleeve_": sleeves}
+        there["sleeve_end_"] = self.option.conical_sleeves
         for prefix in (prefix for prefix, any_there in there.items() if any_there):
             if not (values[f"{prefix}inner_diameter"] < values[f"{prefix}outer_diameter"]).all():
                 problems.append(f"{prefix}inner_diameter must be smaller than {prefix}outer_diameter")
@@ -129,17 +136,19 @@ class RotorFe(Block):
 
     def drawing(self, values):
         """Return what the rotor looks like; values: parameters as SI arrays of their resolved shapes."""
-        count, discs = self.option.elements, self.option.disc_nodes
+        option, count, discs = self.option, self.option.elements, self.option.disc_nodes
         ends = [0.0, *accumulate(full(values["element_length"], count))]
-        columns = [full(values[key], count) for key in ("outer_diameter", "inner_diameter", "density")]
-        sections = [Section(*both, *row) for both, *row in zip(pairwise(ends), *columns, strict=True)]
-        cones = self.option.conical_elements
-        columns = [full(values[key], len(cones)) for key in ("end_outer_diameter", "end_inner_diameter")]
-        for e, outer, inner in zip(cones, *columns, strict=True):
-            sections[e - 1] = replace(sections[e - 1], outer_end=outer, inner_end=inner)
-        on = self.option.sleeve_elements
-        columns = [full(values[f"sleeve_{key}"], len(on)) for key in ("outer_diameter", "inner_diameter", "density")]
-        sleeves = [Section(ends[e - 1], ends[e], *row) for e, *row in zip(on, *columns, strict=True)]
+        keys = ("outer_diameter", "inner_diameter", "density")
+
+        def pieces(prefix: str, at: list[int], cones: list[int]) -> list[Section]:
+            """Return sections or sleeves at elements (from 1)."""
+            rows = zip(*(full(values[f"{prefix}{key}"], len(at)) for key in keys), strict=True)
+            straight = [Section(ends[e - 1], ends[e], *row) for e, row in zip(at, rows, strict=True)]
+            both = (full(values[f"{prefix}end_{key}"], len(cones)) for key in keys[:2])
+            return tapered(straight, cones, zip(*both, strict=True))
+
+        sections = pieces("", list(range(1, count + 1)), option.conical_elements)
+        sleeves = pieces("sleeve_", option.sleeve_elements, option.conical_sleeves)
         pinned = tuple(ends[node - 1] for node in self.option.pinned_nodes)
         keys = ("disc_mass", "disc_polar_inertia", "disc_diametral_inertia")
         sizes = zip(*(full(values[key], len(discs)) for key in keys), strict=True)
@@ -157,27 +166,27 @@ class RotorFe(Block):
     def _shaft(self, p: Any) -> tuple[Shaft, list[Place]]:
         """Return the shaft with its discs, and the places of the nodes."""
         option, parts = self.option, self.option.subdivisions
-        sizes = (p.outer_diameter, p.inner_diameter, p.young_modulus, p.density, p.poisson_ratio)
         lengths = [entry(p.element_length, e) / parts for e in range(option.elements)]
-        cones = {e - 1: k for k, e in enumerate(option.conical_elements)}
-        beams = []
-        for e in range(option.elements):
-            one = Beam(lengths[e], *(entry(v, e) for v in sizes))
-            if e in cones:
-                ends = (entry(v, cones[e]) for v in (p.end_outer_diameter, p.end_inner_diameter))
-                one = replace(one, **dict(zip(("outer_end", "inner_end"), ends, strict=True)))
-            beams += divided(one, parts)
+
+        def beams(prefix: str, at: list[int], cones: list[int]) -> list[list[Beam]]:
+            """Return the parts of the elements or sleeves at elements (from 1)."""
+            sizes = each((getattr(p, f"{prefix}{key}") for key in SIZES), len(at))
+            straight = [Beam(lengths[e - 1], *size) for e, size in zip(at, sizes, strict=True)]
+            both = each((getattr(p, f"{prefix}end_{key}") for key in SIZES[:2]), len(cones))
+            return [divided(one, parts) for one in tapered(straight, cones, both)]
+
+        elements = beams("", list(range(1, option.elements + 1)), option.conical_elements)
         shaft = Shaft(
-            beams,
+            [one for element in elements for one in element],
             theory=option.theory,
             rotary_inertia=option.rotary_inertia,
             gyroscopic=option.shaft_gyroscopic,
             pinned=map(self._place, option.pinned_nodes),
         )
-        sleeves = [getattr(p, f"sleeve_{name}") for name in _SLEEVE]
-        for k, e in enumerate(option.sleeve_elements):
-            for part in range(parts):
-                shaft.add_beam((e - 1) * parts + part, Beam(lengths[e - 1], *(entry(v, k) for v in sleeves)))
+        sleeves = beams("sleeve_", option.sleeve_elements, option.conical_sleeves)
+        for e, sleeve in zip(option.sleeve_elements, sleeves, strict=True):
+            for part, one in enumerate(sleeve):
+                shaft.add_beam((e - 1) * parts + part, one)
         places = [shaft.at(self._place(node)) for node in range(1, option.elements + 2)]
         for k, node in enumerate(option.disc_nodes):
             inertias = (p.disc_polar_inertia, p.disc_diametral_inertia)

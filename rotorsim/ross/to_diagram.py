@@ -77,6 +77,15 @@ def _same(values: Sequence[Any]) -> Any:
     return values[0] if len(set(values)) == 1 else list(values)
 
 
+def _tapers(listed: str, prefix: str, pieces: Sequence[ShaftElement]) -> dict[str, Any]:
+    """Return the parameters of those that are conical."""
+    cones = {k: one for k, one in enumerate(pieces, 1) if one.is_conical}
+    found: dict[str, Any] = {listed: list(cones)}
+    for name in ("outer", "inner"):
+        found[f"{prefix}{name}_diameter"] = [getattr(one, name)[1] for one in cones.values()]
+    return found if cones else {}
+
+
 class _Writer:
     """Makes the document; mistakes go to ``problems``."""
 
@@ -175,22 +184,12 @@ class _Writer:
         found["element_length"] = _same([one.length for one in chain])
         found["outer_diameter"] = _same([one.outer[0] for one in chain])
         found["inner_diameter"] = _same([one.inner[0] for one in chain])
-        cones = [(k, one) for k, one in enumerate(chain, 1) if one.is_conical]
-        if cones:
-            found["conical_elements"] = [k for k, _ in cones]
-            found["end_outer_diameter"] = [one.outer[1] for _, one in cones]
-            found["end_inner_diameter"] = [one.inner[1] for _, one in cones]
-        found |= self._material("", chain)
+        found |= self._material("", chain) | _tapers("conical_elements", "end_", chain)
         if self.sleeves:
             found["sleeve_elements"] = [one.n - self.first + 1 for one in self.sleeves]
             for name in ("outer", "inner"):
-                ends = [getattr(one, name) for one in self.sleeves]
-                found[f"sleeve_{name}_diameter"] = [sum(pair) / 2 for pair in ends]
-            found |= self._material("sleeve_", self.sleeves)
-        for one in self.sleeves:
-            if one.is_conical:
-                what = "is a conical sleeve: a cylinder of its middle diameters stands for it"
-                self.problems.warning(what, one.table.name, one.table.locate("odr"))
+                found[f"sleeve_{name}_diameter"] = [getattr(one, name)[0] for one in self.sleeves]
+            found |= self._material("sleeve_", self.sleeves) | _tapers("conical_sleeves", "sleeve_end_", self.sleeves)
         discs = [(one.n, one.mass, one.polar, one.diametral) for one in self.elements.discs]
         discs += [(n, mass, 0.0, 0.0) for n, masses in self.masses.items() for mass in masses]
         columns = list(zip(*discs, strict=True)) or [()] * 4

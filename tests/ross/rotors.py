@@ -113,5 +113,13 @@ ROTORS: dict[str, Tables] = {
         DISC,
         PLAIN,
     ),
+    "conical layers": tables(
+        stepped(),
+        shaft(0, 0.1, 0.08, 0.05, "a", odr=0.06, material=BRONZE),
+        shaft(3, 0.15, 0.09, 0.07, "a", odr=0.14, material=BRONZE),
+        shaft(3, 0.15, 0.16, 0.09, "b", odr=0.17, idr=0.14, material=WEIGHTLESS),
+        DISC,
+        PLAIN,
+    ),
     "support": tables(stepped(alpha=3.0, beta=1e-5), DISC, ON_SUPPORT),
 }
