@@ -63,6 +63,16 @@ INJECTED = (
 )
 
 
+TAPERED = (
+    "draw blower.json --shaft --out cones.png "
+    '--set "rotor.outer_diameter=[0.03, 0.048, 0.034, 0.045, 0.045, 0.048, 0.03]" '
+    '--set "rotor.conical_sections=[3, 5]" --set "rotor.end_outer_diameter=[0.045, 0.034]" '
+    '--set "rotor.sleeve_begins=[0.075, 0.4, 0.755]" '
+    '--set "rotor.sleeve_lengths=[0.07, 0.08, 0.07]" --set "rotor.sleeve_outer_diameter=[0.08, 0.07, 0.08]" '
+    '--set "rotor.sleeve_inner_diameter=[0.048, 0.045, 0.048]" --set "rotor.sleeve_stiffness_share=[0, 0.3, 0]"'
+)
+
+
 @dataclass(frozen=True)
 class Picture:
     """Commands of rotorsim in an empty folder, and the file among what they leave that is the picture."""
@@ -82,6 +92,7 @@ PICTURES = {
     "jeffcott.png": Picture(("run jeffcott --plot jeffcott.png",), "jeffcott.png"),
     "diagram.svg": Picture(("draw jeffcott -o diagram.svg",), "diagram.svg"),
     "shaft.png": Picture(("draw drawn_rotor --shaft --out shaft.png",), "shaft.png"),
+    "shaft_cones.png": Picture(("new blower --from drawn_rotor", TAPERED), "cones.png"),
     "campbell.png": Picture(
         ('campbell fe_rigid --without amb --speeds "0 rpm:500 rpm:9000 rpm" --plot campbell.png',), "campbell.png"
     ),

@@ -1,4 +1,4 @@
-"""Meshes of shafts from a drawing: ends of beams at section ends, discs and stations, and places between them."""
+"""Meshes of shafts from a drawing: ends of beams at sections, sleeves, discs and stations, and places between."""
 
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
@@ -27,18 +27,26 @@ class Mesh:
 
 
 def meshed(
-    lengths: Sequence[float], places: Iterable[float], longest: float, shortest: float, subdivisions: int
+    lengths: Sequence[float],
+    places: Iterable[float],
+    longest: float,
+    shortest: float,
+    subdivisions: int,
+    sleeves: Iterable[float] = (),
 ) -> Mesh:
     """Return the mesh of a shaft of sections with these lengths [m].
 
-    Ends of beams are those of sections, and every place, in order, that is no closer than ``shortest`` to one that is
-    there already; beams longer than ``longest`` are divided evenly (0: a share of the shaft), and every beam once more
-    into ``subdivisions``. Places off the shaft are left out.
+    sleeves: ends of sleeves [m]. Ends of beams are those of sections and sleeves, and every place, in order, that is no
+    closer than ``shortest`` to one that is there already; beams longer than ``longest`` are divided evenly (0: a share
+    of the shaft), and every beam once more into ``subdivisions``. Places off the shaft are left out.
     """
     borders = [0.0, *accumulate(lengths)]
     total = borders[-1]
     shortest, longest = shortest or SHORTEST * total, longest or LONGEST * total
     points = list(borders)
+    for z in sleeves:
+        if 0.0 < z < total and all(abs(z - point) > ROUNDING * total for point in points):
+            points.append(z)
     for z in places:
         if 0.0 <= z <= total and all(abs(z - point) >= shortest * (1 - ROUNDING) for point in points):
             points.append(z)

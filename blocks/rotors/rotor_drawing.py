@@ -3,25 +3,36 @@
 from itertools import accumulate, pairwise
 from typing import Any
 
-from rotorsim.blocks.common.beam import entry
-from rotorsim.blocks.common.drawing import Drawing, DrawnDisc, Section, cylinder, equivalent_disc, full
-from rotorsim.blocks.common.mesh import ROUNDING, Mesh, meshed
-from rotorsim.blocks.common.shaft import Beam, Place, Shaft
+from rotorsim.blocks.common.beam import each
+from rotorsim.blocks.common.drawing import (
+    Drawing,
+    DrawnDisc,
+    Section,
+    cylinder,
+    equivalent_disc,
+    full,
+    sections_of,
+    sleeve_ends,
+    tapered,
+)
+from rotorsim.blocks.common.drawn_mistakes import mistakes
+from rotorsim.blocks.common.mesh import Mesh, meshed
+from rotorsim.blocks.common.shaft import SIZES, Beam, Place, Shaft, piece
 
 from rotorsim.block import Block, In, Option, Out, Param, State
+
+DRAWN_DISC = tuple(f"drawn_disc_{key}" for key in ("density", "outer_diameter", "inner_diameter", "width"))
 
 
 def _mesh(option: Any) -> Mesh:
     places = (*option.disc_positions, *option.drawn_disc_positions, *option.stations)
-    return meshed(option.section_lengths, places, option.longest_element, option.shortest_element, option.subdivisions)
+    sleeves = [z for ends in sleeve_ends(option) for z in ends]
+    longest, shortest = option.longest_element, option.shortest_element
+    return meshed(option.section_lengths, places, longest, shortest, option.subdivisions, sleeves)
 
 
 def _free(option: Any) -> tuple[int, int]:
     return 2 * len(_mesh(option).ends), 2
-
-
-MOST_BEAMS = 500  # that a drawing is meshed with
-FITS = 0.02  # of a diameter, by which a bore may be narrower than the shaft
 
 
 class RotorDrawing(Block):
@@ -29,11 +40,13 @@ class RotorDrawing(Block):
 
     M q'' + (C + W G J) q' + K q = f - M 1_y g,   C = a0 M_shaft + a1 K,   G J (q_1, q_2) = (G q_2, -G q_1)
 
-    As rotor_fe, whose matrices it has, but meshed by itself: beams end at section ends, discs and stations, unless
-    these are closer than shortest_element to one another; such a station or disc acts on the beam by its shapes.
-    Positions are measured along the axis from the left end. A disc is rigid, has its mass at its middle, and does not
-    stiffen the shaft. Gravity acts in -y on all mass (0: a rotor that stands upright). Without bearings it is free.
-    Shear, rotary inertia and gyroscopic moments of the shaft are in; one row of a port is one station.
+    As rotor_fe, whose matrices it has, but meshed by itself: beams end at section ends, sleeves, discs and stations,
+    unless a disc or station is closer than shortest_element to another end; it acts on the beam by its shapes then.
+    Positions are measured along the axis from the left end. The diameters of a conical section change evenly along it.
+    A sleeve has all of its mass and a share of the stiffness that it would have of one piece with the shaft: K_shaft +
+    share K_sleeve. A disc is rigid, has its mass at its middle, and does not stiffen the shaft. Gravity acts in -y on
+    all mass (0: a rotor that stands upright). Without bearings it is free. Shear, rotary inertia and gyroscopic
+    moments of the shaft are in; one row of a port is one station.
     """
 
     type_name = "rotor_drawing"
@@ -50,6 +63,9 @@ class RotorDrawing(Block):
     section_lengths = Option(None, kind=float, listed=True, unit="m", above=0.0, doc="length of each section")
     stations = Option(None, kind=float, listed=True, unit="m", doc="axial position of each station")
     station_names = Option([], kind=str, doc="name of each station, for pictures and messages")
+    conical_sections = Option([], kind=int, low=1, doc="sections whose diameters change evenly along them; from 1")
+    sleeve_begins = Option([], kind=float, unit="m", doc="axial position of the left end of each sleeve")
+    sleeve_lengths = Option([], kind=float, unit="m", above=0.0, doc="length of each sleeve")
     disc_positions = Option([], kind=float, unit="m", doc="axial position of each disc given by mass and inertias")
     drawn_disc_positions = Option([], kind=float, unit="m", doc="axial position of each disc given by its dimensions")
     longest_element = Option(0.0, kind=float, unit="m", low=0.0, doc="longest beam; 0: a twelfth of the shaft")
@@ -62,11 +78,25 @@ class RotorDrawing(Block):
     shaft_gyroscopic = Option(True, kind=bool, doc="gyroscopic moments of the shaft")
     outer_diameter = Param(shape=("section_lengths",), unit="m", above=0.0, doc="outer diameter of each section")
     inner_diameter = Param(0.0, shape=("section_lengths",), unit="m", low=0.0, doc="inner diameter of each section")
+    end_outer_diameter = Param(
+        0.0, shape=("conical_sections",), unit="m", low=0.0, doc="outer diameter at the right end of each cone"
+    )
+    end_inner_diameter = Param(
+        0.0, shape=("conical_sections",), unit="m", low=0.0, doc="inner diameter at the right end of each cone"
+    )
     young_modulus = Param(
         2.1e11, shape=("section_lengths",), unit="N/m^2", above=0.0, doc="modulus of elasticity, of each or all"
     )
     density = Param(7850.0, shape=("section_lengths",), unit="kg/m^3", above=0.0, doc="density, of each or all")
     poisson_ratio = Param(0.3, shape=("section_lengths",), low=0.0, high=0.5, doc="Poisson's ratio, of each or all")
+    sleeve_outer_diameter = Param(0.0, shape=("sleeve_begins",), unit="m", low=0.0, doc="outer diameter of each sleeve")
+    sleeve_inner_diameter = Param(0.0, shape=("sleeve_begins",), unit="m", low=0.0, doc="its bore")
+    sleeve_stiffness_share = Param(
+        0.0, shape=("sleeve_begins",), low=0.0, high=1.0, doc="share of its stiffness; 0: mass only, 1: one piece"
+    )
+    sleeve_young_modulus = Param(2.1e11, shape=("sleeve_begins",), unit="N/m^2", above=0.0, doc="its modulus")
+    sleeve_density = Param(7850.0, shape=("sleeve_begins",), unit="kg/m^3", above=0.0, doc="its density")
+    sleeve_poisson_ratio = Param(0.3, shape=("sleeve_begins",), low=0.0, high=0.5, doc="its Poisson's ratio")
     disc_mass = Param(0.0, shape=("disc_positions",), unit="kg", low=0.0, doc="mass of each disc")
     disc_polar_inertia = Param(0.0, shape=("disc_positions",), unit="kg m^2", low=0.0, doc="I_p of each disc")
     disc_diametral_inertia = Param(0.0, shape=("disc_positions",), unit="kg m^2", low=0.0, doc="I_d of each disc")
@@ -83,106 +113,26 @@ class RotorDrawing(Block):
     velocity = State(shape=_free, unit=None, doc="their rates")
 
     def check_given(self, given):
-        """Refuse what is off the shaft, walls of no thickness, and discs without mass."""
-        option, total = self.option, sum(self.option.section_lengths)
-        problems = []
-        for name in ("section_lengths", "stations"):
-            if not getattr(option, name):
-                problems.append((name, (), "the list is empty", "a rotor has a section, and a station to act on"))
-        for name, what in (("stations", "station"), ("disc_positions", "disc"), ("drawn_disc_positions", "disc")):
-            for k, z in enumerate(getattr(option, name)):
-                if total and not -ROUNDING * total <= z <= total * (1 + ROUNDING):
-                    side = f"{z * 1e3:g} mm is {'left' if z < 0 else 'right'} of the shaft"
-                    problems.append((name, (k,), f"{what} {k + 1} at {side}", f"it goes from 0 to {total * 1e3:g} mm"))
-        names = option.station_names
-        if names and len(names) != len(option.stations):
-            what = f"has {len(names)} entries, but there are {len(option.stations)} stations"
-            problems.append(("station_names", (), what, "give one name for each, or none"))
-        if option.longest_element and option.shortest_element > option.longest_element:
-            problems.append(("shortest_element", (), "is longer than longest_element", "or leave both out"))
-        for prefix, what, lengths in (
-            ("", "section", option.section_lengths),
-            ("drawn_disc_", "disc", option.drawn_disc_positions),
-        ):
-            problems += self._walls(prefix, what, len(lengths), given)
-        problems += self._massless(given)
-        problems += self._bores(given)
-        if option.longest_element and total / option.longest_element > MOST_BEAMS:
-            what = f"makes more than {MOST_BEAMS} beams of {total * 1e3:g} mm"
-            problems.append(("longest_element", (), what, "a twelfth of the shaft is the default"))
-        return problems
-
-    def _bores(self, given):
-        """Refuse discs whose bore is narrower than the shaft within them: its material would count twice."""
-        shaft, bores, widths = (
-            given.get(name) for name in ("outer_diameter", "drawn_disc_inner_diameter", "drawn_disc_width")
-        )
-        count, borders = len(self.option.drawn_disc_positions), [0.0, *accumulate(self.option.section_lengths)]
-        if shaft is None or widths is None or not count:
-            return []
-        shaft, widths = full(shaft, len(borders) - 1), full(widths, count)
-        bores = full(0.0 if bores is None else bores, count)
-        if not (len(shaft) == len(borders) - 1 and len(widths) == len(bores) == count):  # said elsewhere
-            return []
-        problems = []
-        for k, (z, width, bore) in enumerate(zip(self.option.drawn_disc_positions, widths, bores, strict=True)):
-            within = [
-                d for (a, b), d in zip(pairwise(borders), shaft, strict=True) if a < z + width / 2 and b > z - width / 2
-            ]
-            if within and bore < min(within) * (1 - FITS):
-                what = f"of disc {k + 1} is {bore * 1e3:g} mm, and the shaft in it {min(within) * 1e3:g} mm"
-                hint = "give the shaft's diameter: its material would count twice"
-                problems.append(("drawn_disc_positions", (k,), f"the bore {what}", hint))
-        return problems
-
-    def _walls(self, prefix, what, count, given):
-        outer, inner = (given.get(f"{prefix}{side}_diameter") for side in ("outer", "inner"))
-        outer = None if outer is None else full(outer, count)
-        inner = full(0.0 if inner is None else inner, count)
-        if outer is None or not len(outer) == len(inner) == count:  # missing or not as long: said elsewhere
-            return []
-        name, listed = f"{prefix}inner_diameter", prefix + "inner_diameter" in given
-        at = given.get(name)
-        problems = []
-        for k, (wide, bore) in enumerate(zip(outer, inner, strict=True)):
-            if bore >= wide > 0 and listed:
-                text = f"{bore * 1e3:g} mm of {what} {k + 1} must be smaller than its outer diameter, {wide * 1e3:g} mm"
-                problems.append((name, (k,) if at.ndim else (), text, "a solid one has 0"))
-        return problems
-
-    def _massless(self, given):
-        problems = []
-        for name, positions, hint in (
-            ("disc_mass", "disc_positions", "a disc given by mass and inertias needs disc_mass"),
-            ("drawn_disc_outer_diameter", "drawn_disc_positions", "a disc by dimensions needs its outer diameter"),
-            ("drawn_disc_width", "drawn_disc_positions", "a disc by dimensions needs its width"),
-        ):
-            count, value = len(getattr(self.option, positions)), given.get(name)
-            if not count:
-                continue
-            if value is None:
-                problems.append((positions, (), f"{name} is not given", hint))
-                continue
-            wrong = [k for k, one in enumerate(full(value, count)) if one <= 0]
-            problems += [
-                (name, (k,) if value.ndim else (), f"of disc {k + 1} must be greater than 0", hint) for k in wrong
-            ]
-        return problems
+        """Refuse what is off the shaft, walls of no thickness, and what lacks a size, a mass or a share."""
+        return mistakes(self.option, given)
 
     def drawing(self, values):
         """Return what the rotor looks like; values: parameters as SI arrays of their resolved shapes."""
-        option, borders = self.option, [0.0, *accumulate(self.option.section_lengths)]
-        columns = [full(values[key], len(borders) - 1) for key in ("outer_diameter", "inner_diameter", "density")]
-        sections = [Section(*ends, *row) for ends, *row in zip(pairwise(borders), *columns, strict=True)]
+        option = self.option
         count = len(option.disc_positions)
         keys = ("disc_mass", "disc_polar_inertia", "disc_diametral_inertia")
         given = zip(option.disc_positions, *(full(values[key], count) for key in keys), strict=True)
         discs = [equivalent_disc(*row) for row in given]
         count = len(option.drawn_disc_positions)
-        keys = tuple(f"drawn_disc_{key}" for key in ("density", "outer_diameter", "inner_diameter", "width"))
-        drawn = zip(option.drawn_disc_positions, *(full(values[key], count) for key in keys), strict=True)
+        drawn = zip(option.drawn_disc_positions, *(full(values[key], count) for key in DRAWN_DISC), strict=True)
         discs += [DrawnDisc(z, cylinder(*size)[0], *size[1:], drawn=True) for z, *size in drawn]
-        return Drawing(tuple(sections), tuple(discs), tuple(option.stations), tuple(option.station_names))
+        sizes = [
+            full(values[f"sleeve_{key}"], len(option.sleeve_begins))
+            for key in ("outer_diameter", "inner_diameter", "density")
+        ]
+        sleeves = tuple(Section(*ends, *row) for ends, *row in zip(sleeve_ends(option), *sizes, strict=True))
+        sections = tuple(sections_of(option, values))
+        return Drawing(sections, tuple(discs), tuple(option.stations), tuple(option.station_names), sleeves=sleeves)
 
     def equations(self, p, u, x, t):
         shaft, places = self._shaft(p)
@@ -191,25 +141,39 @@ class RotorDrawing(Block):
     def _shaft(self, p: Any) -> tuple[Shaft, list[Place]]:
         """Return the shaft with its discs, and the places of the stations."""
         option, mesh = self.option, _mesh(self.option)
-        sizes = (p.outer_diameter, p.inner_diameter, p.young_modulus, p.density, p.poisson_ratio)
-        beams = [
-            Beam(end - begin, *(entry(value, section) for value in sizes))
-            for (begin, end), section in zip(pairwise(mesh.ends), mesh.sections, strict=True)
-        ]
         shaft = Shaft(
-            beams, theory=option.theory, rotary_inertia=option.rotary_inertia, gyroscopic=option.shaft_gyroscopic
+            self._beams(p, mesh),
+            theory=option.theory,
+            rotary_inertia=option.rotary_inertia,
+            gyroscopic=option.shaft_gyroscopic,
         )
+        sleeves = each((getattr(p, f"sleeve_{key}") for key in (*SIZES, "stiffness_share")), len(option.sleeve_begins))
+        for (left, right), (*sizes, share) in zip(sleeve_ends(option), sleeves, strict=True):
+            for number, (begin, end) in enumerate(pairwise(mesh.ends)):
+                if left < (begin + end) / 2 < right:
+                    shaft.add_beam(number, Beam(end - begin, *sizes), share)
 
         def at(z: float) -> Place:
             number, distance = mesh.place(z)
             return shaft.within(number, distance) if distance else shaft.at(number)
 
-        for k, z in enumerate(option.disc_positions):
-            mass, polar, diametral = (
-                entry(value, k) for value in (p.disc_mass, p.disc_polar_inertia, p.disc_diametral_inertia)
-            )
-            shaft.add_disc(at(z), mass, polar, diametral, 0.0)
-        for k, z in enumerate(option.drawn_disc_positions):
-            size = (p.drawn_disc_density, p.drawn_disc_outer_diameter, p.drawn_disc_inner_diameter, p.drawn_disc_width)
-            shaft.add_disc(at(z), *cylinder(*(entry(value, k) for value in size)), 0.0)
+        sizes = each((p.disc_mass, p.disc_polar_inertia, p.disc_diametral_inertia), len(option.disc_positions))
+        for z, size in zip(option.disc_positions, sizes, strict=True):
+            shaft.add_disc(at(z), *size, 0.0)
+        sizes = each((getattr(p, key) for key in DRAWN_DISC), len(option.drawn_disc_positions))
+        for z, size in zip(option.drawn_disc_positions, sizes, strict=True):
+            shaft.add_disc(at(z), *cylinder(*size), 0.0)
         return shaft, [at(z) for z in option.stations]
+
+    def _beams(self, p: Any, mesh: Mesh) -> list[Beam]:
+        """Return the beams of the mesh, those of a cone with the diameters that it has where they end."""
+        option, lengths = self.option, self.option.section_lengths
+        sizes = each((getattr(p, key) for key in SIZES), len(lengths))
+        straight = [Beam(length, *size) for length, size in zip(lengths, sizes, strict=True)]
+        ends = each((p.end_outer_diameter, p.end_inner_diameter), len(option.conical_sections))
+        sections = tapered(straight, option.conical_sections, ends)
+        borders, beams = [0.0, *accumulate(lengths)], []
+        for (begin, end), number in zip(pairwise(mesh.ends), mesh.sections, strict=True):
+            left, length = borders[number], lengths[number]
+            beams.append(piece(sections[number], (begin - left) / length, (end - left) / length, end - begin))
+        return beams

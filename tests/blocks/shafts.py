@@ -1,4 +1,4 @@
-"""Rotors as linear systems, and exact free shafts of Timoshenko sections by transfer matrices (no finite elements)."""
+"""Rotors as linear systems; exact free shafts by transfer matrices, integration and Bessel functions."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
+from scipy.special import ive, jv, kve, yv
 
 from tests.blocks.evaluation import KINDS, Prepared, prepare
 
@@ -40,6 +42,19 @@ def linear(block: Prepared, speed: float = 0.0) -> tuple[np.ndarray, np.ndarray,
     seen = np.vstack([found["displacement"], found["tilt"]])
     a, b = np.split(rates[:, 1:] - rates[:, :1], [2 * size], axis=1)
     return a, b, seen[:, 1 : 2 * size + 1], rates[:, 0]
+
+
+def matrices(block: Prepared, speed: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return M, G and K (n, n) of one plane of a rotor whose stations are the ends of all its beams, in their order.
+
+    [displacement, slope] of end after end. From the accelerations by unit forces and moments, M^-1, and the rates.
+    """
+    a, b, _, _ = linear(block, speed)
+    n, ends = len(a) // 2, block.shapes["force"][0]
+    inputs = [k for end in range(ends) for k in (2 * end, 2 * (ends + end))]
+    mass = np.linalg.inv(b[n:, inputs][::2])
+    stiffness = -mass @ a[n::2, :n][:, ::2]
+    return mass, -mass @ a[n::2, n:][:, 1::2] / speed if speed else 0 * mass, stiffness
 
 
 def receptance(block: Prepared, frequency: float, speed: float = 0.0) -> np.ndarray:
@@ -104,8 +119,57 @@ class ExactShaft:
 
     def frequencies(self, low: float, high: float, speed: float = 0.0, points: int = 150) -> np.ndarray:
         """Return the natural frequencies [Hz] between two."""
-        grid = np.linspace(low, high, points)
-        miss: Callable[[float], float] = lambda f: self.misfit(f, speed)  # noqa: E731
-        values = np.array([miss(f) for f in grid])
-        at = np.flatnonzero(values[:-1] * values[1:] < 0)
-        return np.array([brentq(miss, grid[k], grid[k + 1], xtol=1e-10, rtol=1e-14) for k in at])
+        return roots(lambda f: self.misfit(f, speed), low, high, points)
+
+
+def cone_misfit(omega: float, z: tuple[float, float], taper: float, modulus: float, density: float) -> float:
+    """Return what vanishes at a natural frequency [rad/s] of a free solid cone between two distances from its apex.
+
+    (E I y'')'' = w^2 rho A y with D = taper z has y = C_2(s) / z, s = 2 k sqrt(z), k^4 = 16 rho w^2 / (E taper^2), C
+    any of J, Y, I, K (Kirchhoff 1879); moment and shear are proportional to s^4 C_4 and s^3 C_3, but -s^3 K_3.
+    """
+    k = (16 * density * omega**2 / (modulus * taper**2)) ** 0.25
+    ends = 2 * k * np.sqrt(np.array(z))
+    far, near = np.exp(ends - ends[1]), np.exp(ends[0] - ends)  # columns of one size
+    rows = [
+        row
+        for s, grows, falls in zip(ends, far, near, strict=True)
+        for row in ([c(n, s) for c in (jv, yv)] + [ive(n, s) * grows, (-1) ** n * kve(n, s) * falls] for n in (4, 3))
+    ]
+    return float(np.linalg.det(np.array(rows)))
+
+
+def taper_misfit(
+    frequency: float, sizes: Callable[[float], tuple[float, float]], length: float, speed: float = 0.0
+) -> float:
+    """Return what vanishes at a natural frequency [Hz] of a free shaft of which sizes(z) are outer and inner diameter.
+
+    The equations of `ExactShaft`, integrated; steel of its defaults.
+    """
+    w, modulus, density, nu = 2 * np.pi * frequency, 2.1e11, 7850.0, 0.3
+    scale = np.array([1.0, 1 / length, 1e6 * length, 1e6])  # of w, psi, M and V
+
+    def field(z: float, y: np.ndarray) -> np.ndarray:
+        outer, inner = sizes(z)
+        area, second = np.pi / 4 * (outer**2 - inner**2), np.pi / 64 * (outer**4 - inner**4)
+        shear = cowper(inner, outer, nu) * modulus / (2 * (1 + nu)) * area
+        across, slope, moment, force = (y.reshape(4, 2).T * scale).T
+        rates = [
+            slope + force / shear,
+            moment / (modulus * second),
+            -force - density * second * (w**2 - 2 * speed * w) * slope,
+            -density * area * w**2 * across,
+        ]
+        return (np.array(rates).T / scale).T.ravel()
+
+    start = np.eye(4)[:, :2]
+    found = solve_ivp(field, (0.0, length), start.ravel(), method="DOP853", rtol=1e-11, atol=1e-12)
+    return float(np.linalg.det(found.y[:, -1].reshape(4, 2)[2:]))
+
+
+def roots(misfit: Callable[[float], float], low: float, high: float, points: int = 60) -> np.ndarray:
+    """Return where a function changes its sign between two arguments."""
+    grid = np.linspace(low, high, points)
+    values = np.array([misfit(one) for one in grid])
+    at = np.flatnonzero(values[:-1] * values[1:] < 0)
+    return np.array([brentq(misfit, grid[k], grid[k + 1], xtol=1e-10, rtol=1e-14) for k in at])

@@ -96,6 +96,89 @@ def test_one_mistake_gives_one_message(parameters: dict[str, Any], expected: str
     assert found[0].startswith(expected)
 
 
+def test_all_mistakes_of_cones_and_sleeves_are_told_at_once() -> None:
+    assert written(
+        drawn(
+            inner_diameter=[0, "20 mm", 0],
+            conical_sections=[2, 4, 2],
+            sleeve_begins=["10 mm", "350 mm"],
+            sleeve_lengths=["50 mm", "60 mm"],
+            sleeve_outer_diameter=["40 mm", "60 mm"],
+            sleeve_inner_diameter=["40 mm", "30 mm"],
+        )
+    ) == [
+        "rotor.conical_sections: end_outer_diameter is not given | a cone needs the outer diameter of its right end",
+        "rotor.conical_sections: section 2 has a bore of 20 mm, end_inner_diameter is not given"
+        " | give the bore at its right end; 0: it ends in a point",
+        "rotor.conical_sections: section 4: the shaft has 3 | from 1 on the left",
+        "rotor.conical_sections: section 2 is named twice | a section has one right end",
+        "rotor.sleeve_begins: sleeve_stiffness_share is not given"
+        " | 0: its mass only; 1: as stiff as of one piece with the shaft",
+        "rotor.sleeve_lengths: the end of sleeve 2 at 410 mm is right of the shaft | it goes from 0 to 400 mm",
+        "rotor.sleeve_inner_diameter: 40 mm of sleeve 1 must be smaller than its outer diameter, 40 mm"
+        " | a solid one has 0",
+    ]
+
+
+SLEEVE = {
+    "sleeve_begins": ["120 mm"],
+    "sleeve_lengths": ["50 mm"],
+    "sleeve_outer_diameter": "80 mm",
+    "sleeve_inner_diameter": "50 mm",
+    "sleeve_stiffness_share": "30 %",
+}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        (
+            {"conical_sections": [2], "end_outer_diameter": 0},
+            "rotor.end_outer_diameter: of cone 1 must be greater than 0 | a cone needs the outer diameter of its right"
+            " end",
+        ),
+        (
+            {"conical_sections": [2], "end_outer_diameter": "30 mm", "end_inner_diameter": ["30 mm"]},
+            "rotor.end_inner_diameter: 30 mm of cone 1 must be smaller than its outer diameter, 30 mm"
+            " | a solid one has 0",
+        ),
+        (
+            {"conical_sections": [2, 3], "end_outer_diameter": ["30 mm"]},
+            "rotor.end_outer_diameter: shape is (1,), expected (2,) | write a list [...]",
+        ),
+        (
+            {**SLEEVE, "sleeve_inner_diameter": 0},
+            "rotor.sleeve_begins: the bore of sleeve 1 is 0 mm, and the shaft in it 50 mm"
+            " | give the shaft's diameter: its material would count twice",
+        ),
+        (
+            {**SLEEVE, "sleeve_lengths": ["50 mm", "20 mm"]},
+            "rotor.sleeve_lengths: 1 sleeves begin, and 2 have a length | give sleeve_lengths, one for each",
+        ),
+        (
+            {**SLEEVE, "sleeve_begins": ["-5 mm"]},
+            "rotor.sleeve_begins: sleeve 1 at -5 mm is left of the shaft | it goes from 0 to 400 mm",
+        ),
+        ({**SLEEVE, "sleeve_stiffness_share": "150 %"}, "rotor.sleeve_stiffness_share: 1.5 must be at most 1 | "),
+    ],
+)
+def test_one_mistake_of_a_cone_or_sleeve_gives_one_message(parameters: dict[str, Any], expected: str) -> None:
+    """Also one value that cannot be: it is not said to be missing besides."""
+    load(drawn(**SLEEVE))
+    found = written(drawn(**parameters))
+    assert len(found) == 1
+    assert found[0].startswith(expected)
+
+
+def test_a_sleeve_on_a_cone_fits_where_the_cone_is_thin_enough() -> None:
+    tapers = {"conical_sections": [2], "end_outer_diameter": "30 mm", **SLEEVE, "sleeve_begins": ["200 mm"]}
+    load(drawn(**{**tapers, "sleeve_inner_diameter": "35 mm"}))
+    assert written(drawn(**{**tapers, "sleeve_inner_diameter": "30 mm"})) == [
+        "rotor.sleeve_begins: the bore of sleeve 1 is 30 mm, and the shaft in it 35 mm"
+        " | give the shaft's diameter: its material would count twice"
+    ]
+
+
 def test_what_must_be_given_is_asked_for() -> None:
     document = diagram({"rest": block("constant", value=0.0), "rotor": block("rotor_drawing", outer_diameter=0.04)})
     assert [line.partition(": ")[2].partition(" |")[0] for line in mistakes(format_document(document))] == [

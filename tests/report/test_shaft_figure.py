@@ -143,3 +143,25 @@ def test_cones_and_sleeves_have_the_mass_and_centre_of_their_slices() -> None:
     found = boxes(shaft_figure(diagram).axes[0])
     assert (0.0, -30.0, 200.0, 60.0) in found  # the cone
     assert (200.0, 30.0, 100.0, 15.0) in found  # upper half of the sleeve
+
+
+def test_cones_and_sleeves_of_a_drawing_are_drawn_to_scale() -> None:
+    tapers = {"rotor.conical_sections": [3], "rotor.end_outer_diameter": [0.06], "rotor.end_inner_diameter": [0.0]}
+    sleeve = {
+        "begins": [0.4],
+        "lengths": [0.08],
+        "outer_diameter": 0.07,
+        "inner_diameter": 0.045,
+        "stiffness_share": 0.3,
+    }
+    made = {**tapers, **{f"rotor.sleeve_{key}": value for key, value in sleeve.items()}}
+    diagram = load("drawn_rotor", set=made)
+    plain, shaft = shaft_of(load("drawn_rotor"))[1], shaft_of(diagram)[1]
+    grown = np.pi / 12 * 0.14 * (0.04**2 + 0.04 * 0.06 + 0.06**2) - np.pi / 4 * 0.14 * 0.04**2
+    added = grown + np.pi / 4 * (0.07**2 - 0.045**2) * 0.08
+    assert shaft.mass - plain.mass == pytest.approx(7850 * added, rel=1e-9)
+    figure = shaft_figure(diagram)
+    found = boxes(figure.axes[0])
+    assert (160.0, -30.0, 140.0, 60.0) in found  # the cone
+    assert (400.0, 22.5, 80.0, 12.5) in found  # upper half of the sleeve
+    assert "sleeve" in [text.get_text() for text in figure.legends[0].get_texts()]
