@@ -98,7 +98,7 @@ def _drawn(name: str, drawing: Any) -> _Shaft:
     """Return the shaft of a drawing, not to scale across, so that thin shafts are seen: discs by their masses."""
     z, span = np.array(drawing.stations), drawing.length
     ends = np.array([0.0, *(one.end for one in drawing.sections)])
-    outer = np.array([one.outer for one in drawing.sections])
+    outer = np.array([one.outer_at((one.begin + one.end) / 2) for one in drawing.sections])
     largest = max((disc.mass for disc in drawing.discs), default=0.0)
     discs = tuple((d.position, 0.12 * span * np.cbrt(d.mass / largest), 0.03 * span) for d in drawing.discs if d.mass)
     pinned = tuple(int(np.abs(z - at).argmin()) for at in drawing.pinned)
