@@ -67,7 +67,7 @@ def _operating_speeds(model: Model, given: Conditions) -> np.ndarray:
     found = [np.linspace(given.lowest, given.highest, SPEEDS)]
     if given.highest > given.lowest:
         for speed in (given.lowest, given.highest):
-            poles = linear_system(model, (), (), {"speed": float(speed)})[0].poles()
+            poles = linear_system(model, (), (), {"speed": float(speed)}, told=False)[0].poles()
             poles = poles[(poles.imag > 0) & (-poles.real < poles.imag)]
             near = (poles.imag[:, None] + np.abs(poles.real)[:, None] * np.array([-0.5, 0.0, 0.5])).ravel()
             found += [near, near / 2]

@@ -143,7 +143,7 @@ def _speeds(model: Model, ends: tuple[float, float], given: Conditions) -> np.nd
     """Return speeds between two, those of operation, and others dense at every pole."""
     found = [np.linspace(*ends, SPEED_POINTS), np.linspace(given.lowest, given.highest, 21)]
     for speed in np.linspace(*ends, POLE_SPEEDS):
-        poles = linear_system(model, (), (), {"speed": float(speed)})[0].poles()
+        poles = linear_system(model, (), (), {"speed": float(speed)}, told=False)[0].poles()
         poles = poles[(poles.imag > 0) & (np.abs(poles.real) < poles.imag)]
         found.append((poles.imag[:, None] + np.abs(poles.real)[:, None] * NEAR_A_POLE).ravel())
     step = SPEED_RESOLUTION * ends[1]

@@ -322,6 +322,7 @@ def linearise(
     outputs: Sequence[str] = ("rotor.displacement",),
     at: np.ndarray | None = None,
     open_loop: bool = False,
+    told: bool = True,
 ) -> LinearSystem:
     """Return the linear system between external inputs and signals at an operating point.
 
@@ -329,7 +330,8 @@ def linearise(
     for all consumers; with open_loop u replaces the value, which opens the loop there. outputs: signals, or
     parts of them (a port's own value, without u). at: operating point x; None takes the equilibrium of the
     mean over one turn (a linear diagram needs none). Explicit time in the forcing is dropped; a Jacobian that
-    depends on time is averaged over one turn, and a note says so.
+    depends on time is averaged over one turn, and a note says so. told: False does not look for drifting states to
+    tell in notes, which takes longer than the matrices.
 
     Raises RotorsimError for sampled blocks, unknown signals and where there is no operating point.
     """
@@ -357,20 +359,31 @@ def linearise(
         values = {key: f(times[None, :], x, z, p).mean(axis=0) for key, f in made.items()}
     require_finite(model, values["A"])
     values["B"], values["D"] = values["B"][:, columns], values["D"][:, columns]
-    seeds, _ = drifting_states(values["A"])
-    names = state_names(model)
-    notes += [f"{names[k]} has a pole at zero: nothing returns it" for k in seeds]
-    return LinearSystem(
-        **values,
-        states=names,
-        inputs=tuple(name for u in given for name in entry_names(u.name, u.shape)),
-        outputs=tuple(name for output in outputs for name in flat_names(model, output)),
-        input_units=tuple(unit for u in given for unit in given_units(model, u)),
-        output_units=units_of(model, outputs),
-        x=x,
-        notes=tuple(notes),
-        provenance=provenance(model, parameters, "linearise"),
-    )
+    labels = _labels(model, ports, tuple(outputs))
+    seeds = drifting_states(values["A"])[0] if told else []
+    notes += [f"{labels['states'][k]} has a pole at zero: nothing returns it" for k in seeds]
+    made_from = provenance(model, parameters, "linearise")
+    return LinearSystem(**values, **labels, x=x, notes=tuple(notes), provenance=made_from)
+
+
+_LABELS: WeakKeyDictionary[Model, dict[tuple[tuple[str, ...], tuple[str, ...]], dict[str, tuple[str, ...]]]] = (
+    WeakKeyDictionary()
+)
+
+
+def _labels(model: Model, ports: tuple[str, ...], outputs: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Return names and units of a linear system, made once: at hundreds of speeds they take as long as its matrices."""
+    known = _LABELS.setdefault(model, {})
+    if (ports, outputs) not in known:
+        given = [model.trace.external[port] for port in ports]
+        known[ports, outputs] = {
+            "states": state_names(model),
+            "inputs": tuple(name for u in given for name in entry_names(u.name, u.shape)),
+            "outputs": tuple(name for output in outputs for name in flat_names(model, output)),
+            "input_units": tuple(unit for u in given for unit in given_units(model, u)),
+            "output_units": units_of(model, outputs),
+        }
+    return known[ports, outputs]
 
 
 def given_units(model: Model, given: Any) -> tuple[str, ...]:

@@ -211,13 +211,14 @@ def linear_system(
     signals: Sequence[str],
     parameters: Mapping[str, Any] | None = None,
     at: np.ndarray | None = None,
+    told: bool = True,
 ) -> tuple[StateSpace | SampledData, tuple[str, ...]]:
     """Return a diagram, linear, from signals added at ports to signals, with sampled blocks exactly; and notes.
 
-    Raises RotorsimError as `linearise`, and for sampled blocks in a diagram that is not linear.
+    told: see `linearise`. Raises RotorsimError as `linearise`, and for sampled blocks in a diagram that is not linear.
     """
     if not model.n_z:
-        linear = linearise(model, parameters=parameters, inputs=ports, outputs=signals, at=at)
+        linear = linearise(model, parameters=parameters, inputs=ports, outputs=signals, at=at, told=told)
         return linear, linear.notes
     return _sampled(_linear_model(model, ports, signals, parameters), model), ()
 

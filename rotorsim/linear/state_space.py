@@ -10,6 +10,8 @@ import numpy as np
 
 POINTS_A_DECADE = 150
 AROUND_A_POLE = np.linspace(-3, 3, 13)  # half widths
+SAME_POLE = 0.01  # half widths between poles that need no points of their own
+MANY = 40  # frequencies from which on a Schur decomposition takes less time than solving at each
 
 
 @dataclass(frozen=True)
@@ -47,11 +49,55 @@ class StateSpace:
         n = len(self.A)
         if n == 0 or 0 in self.B.shape or 0 in self.C.shape:
             return np.repeat(self.D[None].astype(complex), len(s), 0)
-        chunks = np.array_split(s, 1 + len(s) * n * n // 2_000_000)
-        states = [solved(part[:, None, None] * np.eye(n) - self.A, self.B) for part in chunks]
-        response = self.C @ np.concatenate(states) + self.D
+        if len(s) < MANY:
+            made = [self.C @ solved(s[:, None, None] * np.eye(n) - self.A, self.B)]
+        else:
+            resolvent, chunks = Resolvent(self.A), np.array_split(s, 1 + len(s) * self.B.size // 2_000_000)
+            made = [self.C @ resolvent.times(self.B, part) for part in chunks]
+        response = np.concatenate(made) + self.D
         response[np.isnan(response).any(axis=(1, 2))] = np.inf
         return np.asarray(response)
+
+
+class Resolvent:
+    """(s I - A)^-1 at many s: triangular systems of one Schur decomposition A = Q T Q^H of the balanced matrix.
+
+    Each solution is refined once by what it leaves of the equations of A itself: it is then as exact as Gaussian
+    elimination at each s, where Q and T alone lose what is small beside the fastest poles.
+    Source: Laub, IEEE Trans. Autom. Control 26 (1981) 407-408; Higham, Accuracy and Stability (2002), ch. 12.
+    """
+
+    def __init__(self, A: np.ndarray) -> None:
+        from scipy.linalg import matrix_balance, schur  # as long to load as a short run takes
+
+        self._A, (self._scale, _) = matrix_balance(A, permute=False, separate=True)
+        self._T, self._Q = schur(self._A, output="complex")
+
+    def times(self, B: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Return the solutions X (len(s), n, m) of (s I - A) X = B, B (n, m) or (len(s), n, m); NaN on a pole."""
+        n = len(self._A)
+        right = np.broadcast_to(np.swapaxes(B, -1, -2) / self._scale, (len(s), B.shape[-1], n))  # rows are columns of B
+        found = self._solved(s, right)
+        left = right - s[:, None, None] * found + _times(found, self._A.T)
+        return np.swapaxes((found + self._solved(s, left)) * self._scale, 1, 2)
+
+    def _solved(self, s: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        from scipy.linalg.lapack import ztrtrs
+
+        found = _times(rows, self._Q.conj())
+        triangle, poles = np.asfortranarray(-self._T), np.diag(self._T).copy()
+        diagonal = triangle.reshape(-1, order="F")[:: len(poles) + 1]
+        for k, at in enumerate(s):
+            diagonal[:] = at - poles
+            _, info = ztrtrs(triangle, found[k].T, overwrite_b=1)  # in place
+            if info:
+                found[k] = np.nan
+        return _times(found, self._Q.T)
+
+
+def _times(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Return rows (F, m, n) times a matrix (n, n), as one product."""
+    return np.asarray(rows.reshape(-1, len(matrix)) @ matrix).reshape(rows.shape)
 
 
 def solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -79,7 +125,12 @@ def reached(pattern: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 def frequencies_near(poles: np.ndarray, low: float, high: float) -> np.ndarray:
     """Return frequencies [Hz] from low to high, logarithmic, and dense at the poles [1/s] in between."""
-    width = np.abs(poles.real) / (2 * np.pi)
-    near = ((np.abs(poles.imag) / (2 * np.pi))[:, None] + width[:, None] * AROUND_A_POLE).ravel()
+    told: list[complex] = []
+    for pole in sorted(np.unique(poles[poles.imag >= 0]).tolist(), key=lambda one: one.imag):
+        if np.abs(np.array(told) - pole).min(initial=np.inf) > SAME_POLE * abs(pole.real):
+            told.append(pole)
+    kept = np.array(told, complex)
+    width = np.abs(kept.real) / (2 * np.pi)
+    near = ((kept.imag / (2 * np.pi))[:, None] + width[:, None] * AROUND_A_POLE).ravel()
     count = max(round(POINTS_A_DECADE * np.log10(high / low)), 2)
     return np.unique(np.concatenate([np.geomspace(low, high, count), near[(near > low) & (near < high)]]))

@@ -74,7 +74,8 @@ def unbalance_response(
     notes: tuple[str, ...] = ()
     looked = set(np.linspace(0, len(values) - 1, min(len(values), STABILITY_SPEEDS)).round().astype(int).tolist())
     for k, speed in enumerate(values):
-        system, notes = linear_system(model, ports, names, {**(parameters or {}), "speed": float(speed)})
+        given = {**(parameters or {}), "speed": float(speed)}
+        system, notes = linear_system(model, ports, names, given, told=k == len(values) - 1)
         G = system.response(speed / (2 * np.pi))[0][:, columns].reshape(len(signals), 2, len(planes), 2)
         made.append(np.einsum("sapb,b->spa", G, FORWARD) * speed**2)
         if k in looked:

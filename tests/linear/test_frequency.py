@@ -5,11 +5,13 @@ import math
 
 import numpy as np
 import pytest
+from scipy.linalg import lu_factor, lu_solve
 
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.frequency import frequency_response
 from rotorsim.linear.linearisation import linearise
 from rotorsim.linear.margins import margins
+from rotorsim.linear.state_space import MANY, frequencies_near
 from rotorsim.model.load import load
 from tests.reference.handmade import jeffcott
 
@@ -69,3 +71,26 @@ def test_sampled_blocks_are_treated_exactly():
     truth = margins(load(document), "controller.current", frequencies=hz)
     np.testing.assert_allclose(np.eye(2) + found.value, truth.sensitivity, rtol=1e-12)
     assert found.stable
+
+
+def test_many_frequencies_of_a_beam_are_exact_to_1e10_from_the_slowest_to_the_fastest_pole():
+    system = linearise(load("drawn_rotor"), inputs=("controller_a.current",), outputs=("rotor.displacement",))
+    hz = np.geomspace(0.01, 2e6, MANY)
+    s, n = 2j * math.pi * hz, len(system.A)
+    found = system.response(hz)
+    for k in range(0, MANY, 3):  # Gaussian elimination, refined in extended precision
+        M = (s[k] * np.eye(n) - system.A).astype(np.clongdouble)
+        factors = lu_factor(M.astype(complex))
+        X = lu_solve(factors, system.B).astype(np.clongdouble)
+        for _ in range(10):
+            X += lu_solve(factors, (system.B - M @ X).astype(complex))
+        exact = (system.C @ X + system.D).astype(complex)
+        assert np.abs(found[k] - exact).max() < 1e-10 * np.abs(exact).max()
+
+
+def test_poles_that_are_one_but_for_a_hundredth_of_their_width_are_not_looked_at_twice():
+    pole = complex(-3.0, 400.0)
+    alone = frequencies_near(np.array([pole, pole.conjugate()]), 1.0, 1000.0)
+    again = frequencies_near(np.array([pole, pole + 0.02, pole.conjugate(), pole + 0.02j]), 1.0, 1000.0)
+    np.testing.assert_array_equal(alone, again)
+    assert len(frequencies_near(np.array([pole, pole + 0.04j]), 1.0, 1000.0)) == len(alone) + 13
