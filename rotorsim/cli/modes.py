@@ -84,7 +84,11 @@ def _locus_text(found: RootLocus) -> str:
     text = table((f"{found.parameter}{unit}", "least damped [Hz]", "damping ratio", "machine"), rows)
     limits = [f"limit of stability: {one.value:.6g}{unit}, at {one.frequency:.4f} Hz" for one in found.limits]
     same = "stable" if found.stable[0] else "unstable"
-    return "\n\n".join([text, "\n".join(limits) or f"{same} at all of these values"])
+    said = limits or [f"{same} at all of these values"]
+    least, most = int(found.zeros.min()), int(found.zeros.max())
+    if most:
+        said.append(f"poles at zero: {f'{least} to ' * (least < most)}{most}, of what nothing returns")
+    return "\n\n".join([text, "\n".join(said)])
 
 
 def _text(result: Modes) -> str:
@@ -99,6 +103,9 @@ def _text(result: Modes) -> str:
         parts.append(f"damped beyond 0.707, which no force brings to resonance\n{table(HEADER, rows[False])}")
     if len(result.real_poles):
         least = 0.0 if result.stable else 1e-9 * float(abs(result.real_poles).max())
-        poles = (f"{p:.4g}{' (grows)' if not result.stable and p > least else ''}" for p in result.real_poles)
+        zeros = int((result.real_poles == 0).sum())
+        moving = result.real_poles[result.real_poles != 0]
+        poles = [f"{p:.4g}{' (grows)' if not result.stable and p > least else ''}" for p in moving]
+        poles += [f"0{f' ({zeros} times)' * (zeros > 1)}"] * (zeros > 0)
         parts.append(f"poles that do not oscillate [1/s]: {', '.join(poles)}")
     return "\n\n".join(parts)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.linalg import eig
 
 from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.linear.drift import eigenvectors
 from rotorsim.linear.linearisation import LinearSystem, as_model, linearise, speed_of
 from rotorsim.linear.stability import growing
 from rotorsim.model.compiled import Model
@@ -110,18 +110,19 @@ class Eigen:
 
 
 def eigen(A: np.ndarray) -> Eigen:
-    """Return the eigenvalues of A apart by kind, with right and left vectors (left^H right = 1)."""
-    if not len(A):
-        empty = np.zeros((0, 0), complex)
-        return Eigen(np.zeros(0, complex), empty, empty, np.zeros(0))
-    values, left, right = eig(A, left=True, right=True)
-    limit = REAL_POLE * np.abs(values).max()
+    """Return the eigenvalues of A apart by kind, with right and left vectors (left^H right = 1).
+
+    Those of free bodies and of integrators without feedback are zero, see `eigenvectors`.
+    """
+    values, left, right = eigenvectors(A)
+    limit = REAL_POLE * np.abs(values).max(initial=0.0)
     real = np.sort(values[np.abs(values.imag) <= limit].real)
     keep = np.flatnonzero(values.imag > limit)
     keep = keep[np.argsort(values[keep].imag, kind="stable")]
-    products = np.sum(left.conj() * right, axis=0)[keep]
+    left, right = left[:, keep], right[:, keep]
+    products = np.sum(left.conj() * right, axis=0)
     products = np.where(np.abs(products) > 0, products, 1.0)
-    return Eigen(values[keep], right[:, keep], left[:, keep] / products.conj(), real)
+    return Eigen(values[keep], right, left / products.conj(), real)
 
 
 def two_axis_signals(model: Model) -> tuple[str, ...]:

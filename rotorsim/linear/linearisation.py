@@ -14,13 +14,13 @@ import numpy as np
 from rotorsim.block import Shape, size_of
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.state_space import StateSpace, reached
+from rotorsim.linear.drift import drifting_entries, drifting_states
+from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.linearity import jacobian
 from rotorsim.model.matrix_function import MatrixFunction
 
 TURN_SAMPLES = 64  # instants for averages over one turn
-SINGULAR_STATES = 1e-14  # reciprocal condition number below which a group of states is taken to have a pole at zero
 
 
 @dataclass(frozen=True)
@@ -153,52 +153,6 @@ def require_finite(model: Model, A: np.ndarray) -> None:
         hint = "a parameter is out of all proportion: a mass, density or time constant of nearly nothing"
         problems = [Problem(f"the rate of {name} has no finite derivatives", b, hint=hint) for b, name in first.items()]
         raise RotorsimError(*problems[::-1])
-
-
-def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
-    """Return the states with a pole at zero of their own, and all states that these drive.
-
-    A: (n, n) or (m, n, n). The states are grouped into strongly coupled sets (a set is driven by others
-    or not); a set whose own matrix is singular has no mean of its own: a free integrator, a free body.
-    """
-    stack = A.reshape(-1, *A.shape[-2:])
-    pattern = np.any(stack != 0, axis=0)
-    n = len(pattern)
-    if n == 0:
-        return [], []
-    from scipy.linalg import matrix_balance  # as long to load as a short run takes
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
-    count, group = connected_components(csr_array(pattern), directed=True, connection="strong")
-    seeds: list[int] = []
-    for k in range(count):
-        members = np.flatnonzero(group == k)
-        own = stack[0][np.ix_(members, members)]
-        if len(members) == 1:
-            singular = not pattern[members[0], members[0]]
-        else:
-            balanced = matrix_balance(own, separate=False)[0]
-            singular = _is_singular(balanced / np.abs(balanced).max(axis=1, keepdims=True))
-        if singular:
-            seeds += members.tolist()
-    return sorted(seeds), np.flatnonzero(reached(pattern, np.isin(np.arange(n), seeds))).tolist()
-
-
-def _is_singular(A: np.ndarray) -> bool:
-    """Return whether the reciprocal condition number of A (n, n) is below `SINGULAR_STATES`.
-
-    It is at least 1 / (|A|_F |A^-1|_F), which is a third of the work of singular values and decides but for matrices
-    whose inverse rounding spoils.
-    """
-    try:
-        bound = np.linalg.norm(A) * np.linalg.norm(np.linalg.inv(A))
-    except np.linalg.LinAlgError:
-        return True
-    if bound < 1e-3 / SINGULAR_STATES:
-        return False
-    values = np.linalg.svd(A, compute_uv=False)
-    return bool(values[-1] <= SINGULAR_STATES * values[0])
 
 
 def equilibrium(
@@ -360,18 +314,16 @@ def linearise(
     require_finite(model, values["A"])
     values["B"], values["D"] = values["B"][:, columns], values["D"][:, columns]
     labels = _labels(model, ports, tuple(outputs))
-    seeds = drifting_states(values["A"])[0] if told else []
-    notes += [f"{labels['states'][k]} has a pole at zero: nothing returns it" for k in seeds]
+    if told:
+        notes += [f"{name} has a pole at zero: nothing returns it" for name in drifting_entries(model, values["A"])]
     made_from = provenance(model, parameters, "linearise")
     return LinearSystem(**values, **labels, x=x, notes=tuple(notes), provenance=made_from)
 
 
-_LABELS: WeakKeyDictionary[Model, dict[tuple[tuple[str, ...], tuple[str, ...]], dict[str, tuple[str, ...]]]] = (
-    WeakKeyDictionary()
-)
+_LABELS: WeakKeyDictionary[Model, dict[tuple[tuple[str, ...], tuple[str, ...]], dict[str, Any]]] = WeakKeyDictionary()
 
 
-def _labels(model: Model, ports: tuple[str, ...], outputs: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+def _labels(model: Model, ports: tuple[str, ...], outputs: tuple[str, ...]) -> dict[str, Any]:
     """Return names and units of a linear system, made once: at hundreds of speeds they take as long as its matrices."""
     known = _LABELS.setdefault(model, {})
     if (ports, outputs) not in known:

@@ -11,9 +11,12 @@ import numpy as np
 from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.linear.drift import eigenvectors
 from rotorsim.linear.eigenmodes import RESONANT
 from rotorsim.linear.linearisation import as_model, provenance
 from rotorsim.linear.loop import growing_poles, linear_system
+from rotorsim.linear.sampled_data import NO_MULTIPLIER, SampledData
+from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
 
 ROUNDING = 1e-14  # of the range of values: a limit at zero has no relative width
@@ -62,6 +65,11 @@ class RootLocus(Shown):
         return frequency, np.where(some, ratio[rows, least], np.nan)
 
     @property
+    def zeros(self) -> np.ndarray:
+        """How many poles are zero, (n,)."""
+        return np.asarray((self.poles == 0).sum(axis=1))
+
+    @property
     def resonant(self) -> np.ndarray:
         """Which poles have a damping ratio below 1/sqrt(2), (n, m)."""
         with np.errstate(invalid="ignore"):
@@ -77,8 +85,9 @@ def root_locus(
 ) -> RootLocus:
     """Return the poles of the closed loop over values [SI] of a parameter, at the operating point of each.
 
-    Sampled loops have ln(mu) / T of the multipliers mu over their common period T, exactly. Between two values of which
-    one is stable the limit is found to 1e-9 of it.
+    Sampled loops have ln(mu) / T of the multipliers mu over their common period T, exactly. Poles of free bodies and of
+    integrators without feedback are zero, not what rounding makes of them. Between two values of which one is stable
+    the limit is found to 1e-9 of it.
 
     Raises RotorsimError as `linearise`, for values that do not ascend, and for a parameter that does not exist.
     Source: W. R. Evans, Trans. AIEE 67 (1948) 547-551.
@@ -90,7 +99,7 @@ def root_locus(
 
     def at(value: float) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
         system, notes = linear_system(model, (), (), {**(parameters or {}), parameter: float(value)})
-        poles = system.poles()
+        poles = _poles(system)
         return poles[poles.imag >= 0], growing_poles(system), notes
 
     found = [at(value) for value in grid]
@@ -118,3 +127,11 @@ def root_locus(
         notes=tuple(dict.fromkeys(note for *_, notes in found for note in notes)),
         provenance=provenance(model, parameters, "root_locus"),
     )
+
+
+def _poles(system: StateSpace | SampledData) -> np.ndarray:
+    if not isinstance(system, SampledData):
+        return eigenvectors(system.A)[0]
+    unit = np.eye(len(system.monodromy))
+    multipliers = 1 + eigenvectors(system.monodromy - unit, about=1.0)[0].astype(complex)
+    return np.asarray(np.log(multipliers[np.abs(multipliers) > NO_MULTIPLIER]) / system.period)

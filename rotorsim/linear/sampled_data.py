@@ -25,6 +25,7 @@ from rotorsim.linear.state_space import StateSpace, solved
 
 AT_A_POLE = 1e-7  # of |s|: a resolvent of a relative distance d is off by 1e-14 / d
 CIRCLE, ON_CIRCLE = 1e-6, np.arange(8) / 8  # radius, of |s|, and turns of places on the circle
+NO_MULTIPLIER = 1e-12  # a multiplier below is zero: its state forgets all within a period
 MOST_HITS = 10_000  # of a common period: so many matrices are multiplied for each frequency
 
 
@@ -73,7 +74,7 @@ class SampledData:
     def poles(self) -> np.ndarray:
         """Return ln(mu) / T [1/s] of the multipliers mu that are not zero, with frequencies up to 1 / (2 T)."""
         found = np.linalg.eigvals(self.monodromy)
-        return np.asarray(np.log(found[np.abs(found) > 1e-12].astype(complex)) / self.period)
+        return np.asarray(np.log(found[np.abs(found) > NO_MULTIPLIER].astype(complex)) / self.period)
 
     def amplified(self, gain: float, wires: Sequence[int]) -> SampledData:
         """Return it with what arrives at some wires amplified, see `StateSpace.amplified`."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rotorsim.linear import linearisation as linear
+from rotorsim.linear.drift import drifting_states
 from rotorsim.linear.stability import growing
 from rotorsim.linear.state_space import solved
 from rotorsim.model.compiled import Model
@@ -95,7 +96,7 @@ def _direct(setup: Setup, base: np.ndarray, p: np.ndarray, settings: Settings) -
     if (A[:1] == A).all():
         A = A[:1]
     series = setup.forcing.series(equations, base, p, settings.harmonics)
-    seeds, drifting = linear.drifting_states(A)
+    seeds, drifting = drifting_states(A)
     X = _responses(A, series.F, base, drifting)
     status = ["settled"] * len(base)
     for j in np.flatnonzero(~np.isfinite(X).all(axis=(1, 2))):
@@ -294,7 +295,7 @@ def _newton(point: _Point, start: np.ndarray | None, H: int) -> _Orbit:
     pattern = A.copy()
     A[np.ix_(E, S)] = along.mean(axis=0)  # so that (i k W I - A) is regular where the motion itself is
     pattern[np.ix_(E, S)] = np.abs(along).max(axis=0)
-    seeds, drifting = linear.drifting_states(np.array([A, pattern]))
+    seeds, drifting = drifting_states(np.array([A, pattern]))
     nothing = np.zeros((H + 1, n), complex)
     if np.isin(S, drifting).any():
         names = linear.state_names(setup.model)

@@ -25,6 +25,16 @@ def test_modes_of_the_thesis_by_one_command(run) -> None:
     assert {"frequency_hz", "natural_frequency_hz", "damping_ratio", "whirl"} <= set(rows[0])
 
 
+def test_poles_at_zero_of_a_free_rotor_are_counted(run) -> None:
+    free = ("drawn_rotor", "--without", "amb_a", "--without", "amb_b")
+    shown = run("modes", *free, "--set", "speed=0")
+    assert shown.stdout.splitlines()[-1].endswith("-1e+04, 0 (12 times)")
+    locus = run("modes", *free, "--vary", "speed=0, 100")
+    assert locus.stdout.splitlines()[-1] == "poles at zero: 10 to 12, of what nothing returns"
+    assert locus.stderr.splitlines()[0] == "rotor.position has a pole at zero: nothing returns it"
+    assert len(locus.stderr.splitlines()) == 4
+
+
 def test_modes_as_text(run) -> None:
     lines = run("modes", "jeffcott").stdout.splitlines()
     assert lines[0].split("  ") == [text for text in lines[0].split("  ") if text.strip() or not text]

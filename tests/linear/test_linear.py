@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.linearisation import drifting_states, equilibrium, linearise
+from rotorsim.linear.drift import drifting_states
+from rotorsim.linear.linearisation import equilibrium, linearise
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
 from tests.reference.handmade import TABLE_2_1, handmade, jeffcott
