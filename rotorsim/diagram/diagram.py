@@ -195,7 +195,11 @@ class Diagram:
         return name
 
     def unit_of_parameter(self, name: str) -> str | None:
-        """Return the unit of a parameter of the diagram or of a block (``amb.k_i``); None without one, or unknown."""
+        """Return the unit of a parameter of the diagram or of a block (``amb.k_i``), or of an entry of one.
+
+        None without one, or unknown.
+        """
+        name = name.partition("[")[0]
         if name in self.parameters:
             return self.parameter_units.get(name)
         block, _, key = name.rpartition(".")

@@ -85,15 +85,21 @@ class Model:
     def parameter_vector(self, overrides: Mapping[str, Any] | None = None) -> np.ndarray:
         """Return p with some values replaced; diagram parameters by name set all that refer to them.
 
-        overrides: SI numbers, or texts with a unit ("1800 rpm"). Raises RotorsimError for unknown names, texts that do
-        not fit, values outside the declared bounds and wrong shapes.
+        overrides: SI numbers, or texts with a unit ("1800 rpm"), by names or those of entries (``controller.KD[2]``).
+        Raises RotorsimError for unknown names and entries, texts that do not fit, values outside the declared bounds
+        and wrong shapes.
         """
         p = self.p0.copy()
         problems = []
         for name, value in (overrides or {}).items():
-            parts = self._parts_of(name)
-            if name in self.diagram.structural:
-                problems.append(compiled_in(name, self.diagram.structural[name]))
+            base = name.partition("[")[0]
+            if base in self.diagram.structural:
+                problems.append(compiled_in(base, self.diagram.structural[base]))
+                continue
+            try:
+                parts = self.positions(name)
+            except RotorsimError as error:
+                problems += error.problems
                 continue
             if not parts:
                 near = near_miss(name, [*self.diagram.parameters, *self.parameters], list_all=False, most=1)
@@ -106,10 +112,8 @@ class Model:
                 except ValueProblem as problem:
                     problems.append(Problem(what=problem.what, subject=name, hint=problem.hint))
                     break
-                if given.size not in (1, part.stop - part.start):
-                    problems.append(
-                        Problem(what=f"{given.size} values given, {part.stop - part.start} expected", subject=name)
-                    )
+                if given.size not in (1, len(part)):
+                    problems.append(Problem(what=f"{given.size} values given, {len(part)} expected", subject=name))
                 else:
                     p[part] = given.ravel()
         if problems:
@@ -128,11 +132,28 @@ class Model:
             raise outside
         return array
 
-    def _parts_of(self, name: str) -> dict[str, slice]:
-        """Return the parameters of blocks that a name sets, with their parts of p."""
-        if name in self.diagram.parameters:
-            return self._followers.get(name, {}) or {"": slice(0, 0)}
-        return {name: self.parameters[name]} if name in self.parameters else {}
+    def positions(self, name: str) -> dict[str, np.ndarray]:
+        """Return the parameters of blocks that a name, or that of an entry, sets, and where in p; {} for unknown ones.
+
+        Raises RotorsimError for an entry that is not there.
+        """
+        base, bracket, inside = name.partition("[")
+        parts = {base: self.parameters[base]} if base in self.parameters else {}
+        if base in self.diagram.parameters:
+            parts = self._followers.get(base, {}) or {"": slice(0, 0)}
+        found = {target: np.arange(part.start, part.stop) for target, part in parts.items()}
+        if not bracket:
+            return found
+        numbers = inside.removesuffix("]").split(",") if inside.endswith("]") else []
+        for target in filter(None, found):
+            shape = self.trace.parameters[target].shape
+            index = tuple(int(part) - 1 for part in numbers if part.strip().isdigit())
+            fits = len(index) == len(numbers) == len(shape) > 0
+            if not fits or not all(0 <= i < n for i, n in zip(index, shape, strict=True)):
+                size = " x ".join(map(str, shape)) or "a single number"
+                raise RotorsimError(Problem(f"no such entry; the parameter is {size}, counted from 1", name))
+            found[target] = found[target][flat_indices(shape, index)]
+        return found
 
     @cached_property
     def _followers(self) -> dict[str, dict[str, slice]]:

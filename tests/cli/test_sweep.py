@@ -42,6 +42,33 @@ def test_one_run_is_that_of_run(run: Run) -> None:
     ]["peak"]
 
 
+def test_an_entry_of_a_parameter_varies_and_the_others_stay(run: Run) -> None:
+    window = ("--window", "0:0.2", "--json")
+    swept = run("sweep", "jeffcott", "--vary", "rotor.initial_displacement[2]=0, 10 um", *SHORT, *window)
+    for row, start in zip(json.loads(swept.stdout)["runs"], ("[0, 0]", "[0, 1e-5]"), strict=True):
+        alone = json.loads(
+            run("run", "jeffcott", "--set", f"rotor.initial_displacement={start}", *SHORT, "--json").stdout
+        )
+        own = [row[f"peak rotor.displacement[{k}]"] for k in (1, 2)]
+        assert own == alone["signals"]["rotor.displacement"]["peak"]
+    assert "(rotor.initial_displacement[2] 0 to 10 um)" in swept.stderr
+
+
+@pytest.mark.parametrize("verb", ["sweep", "modes"])
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("support.stiffness[3]", "no such entry; the parameter is 2, counted from 1"),
+        ("support.stiffness[1,1]", "no such entry; the parameter is 2, counted from 1"),
+        ("speed[1]", "no such entry; the parameter is a single number, counted from 1"),
+        ("support.stifness[1]", "no such parameter\n\nhint: did you mean 'support.stiffness'?"),
+    ],
+)
+def test_an_entry_that_is_not_there_is_refused(run: Run, verb: str, name: str, what: str) -> None:
+    found = run(verb, "rk4_first_mode", "--vary", f"{name}=1, 2")
+    assert (found.exit_code, found.stderr) == (2, f"error: {name}: {what}\n")
+
+
 def test_runs_that_do_not_finish(run: Run) -> None:
     found = run("sweep", "jeffcott", "--vary", "controller.KP=12200, -20000", *SHORT)
     assert found.exit_code == 1

@@ -15,6 +15,16 @@ M, K, D = 2.0, 1.4e6, 150.0  # of `jeffcott(4e5, 150.0)`
 SAMPLED = {"type": "discrete_pid", "parameters": {"KP": 12500.0, "KI": 0.0, "KD": 3.75, "sample_time": "0.1 ms"}}
 
 
+def test_an_entry_of_a_parameter_is_varied_as_the_whole_with_the_others_as_they_are():
+    diagram = load("rk4_first_mode")
+    y, mass = diagram.nodes["support"].values["stiffness"][1], float(diagram.nodes["rotor"].values["mass"])
+    found = root_locus(diagram, "support.stiffness[1]", [1e5, 2e5])
+    for value, poles in zip(found.values, found.poles, strict=True):
+        own = root_locus(load("rk4_first_mode", set={"support.stiffness": [value, y]}), "rotor.mass", [mass]).poles[0]
+        np.testing.assert_array_equal(poles, own)
+    assert found.unit == "N/m"
+
+
 def test_poles_over_a_gain_and_the_limit_of_stability() -> None:
     """m s^2 + k_i KD s + 1e6 - k_s + k_i KP: no pole grows from KD = 0 on."""
     gains = np.linspace(-2.0, 8.0, 11) + 0.1

@@ -90,8 +90,8 @@ def varied_values(model: Model, parameters: Mapping[str, Any], initial: np.ndarr
         except RotorsimError as error:
             problems += error.problems[:1]
             continue
-        part = model.references[name][0] if name in model.references else model.parameters.get(name)
-        if part is None:
+        part = next(iter(model.positions(name).values()))
+        if not len(part):
             what = "nothing in the diagram follows it: all runs would be the same"
             problems.append(Problem(what, name, hint=f"refer to it in a block: '${name}'"))
             continue
@@ -115,15 +115,16 @@ def _each(values: Any) -> list[Any]:
 
 def changes_structure(diagram: Diagram, name: str) -> Problem | None:
     """Return why a name cannot be varied within one ensemble, None where it can (or is unknown)."""
-    block, _, key = name.rpartition(".")
+    base = name.partition("[")[0]
+    block, _, key = base.rpartition(".")
     if block == "solver":
         return Problem("is the same for all runs of an ensemble", name, hint="the arguments step, stop, method")
     node = diagram.nodes.get(block)
     if node is not None and key in node.block.options:
         what = "is an option: another value makes other equations, which are not those of one ensemble"
         return Problem(what, name, hint=f"one ensemble for each: load(..., set={{'{name}': ...}}), or --set {name}=...")
-    if name in diagram.structural:
-        return compiled_in(name, diagram.structural[name])
+    if base in diagram.structural:
+        return compiled_in(base, diagram.structural[base])
     if name in diagram.nodes:
         hint = f"`rotorsim blocks {diagram.nodes[name].block.type_name}` lists its parameters"
         return Problem("is a block, not a parameter", name, hint=hint)
