@@ -15,7 +15,7 @@ import numpy as np
 
 from rotorsim.block import Block, In, Out, Shape
 from rotorsim.diagram.solver import Solver
-from rotorsim.errors import Place, Problem, RotorsimError
+from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
 __all__ = ["Diagram", "Endpoint", "Free", "Node", "Port", "Solver", "Wire"]
 
@@ -225,3 +225,19 @@ class Diagram:
         graph.add_nodes_from((name, {"node": node}) for name, node in self.nodes.items())
         graph.add_edges_from((w.source.block, w.target.block, {"wire": w}) for w in self.wires)
         return graph
+
+
+def wrong_port(diagram: Diagram, name: str, *, inputs: bool = True) -> Problem:
+    """Return what is wrong with a name that is no port, or no output port, of a diagram, and what was meant."""
+    base, bracket, _ = name.partition("[")
+    block, _, port = base.rpartition(".")
+    node = diagram.nodes.get(block or base)
+    if node is None:
+        return Problem("no such block", block or base, hint=near_miss(block or base, diagram.nodes))
+    known = [*(node.inputs if inputs else ()), *node.outputs]
+    if not block:
+        return Problem("is a block, not a port", name, hint=f"its ports: {', '.join(f'{base}.{one}' for one in known)}")
+    if bracket and port in known:
+        hint = f"name '{base}': the results tell each of its entries"
+        return Problem("is an entry; a test signal enters at a whole port", name, hint=hint)
+    return Problem(f"no such {'port' if inputs else 'output port'}", name, hint=near_miss(port, known))

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.diagram import Diagram, wrong_port
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.linear.linear_model import LinearModel, linear_part
 from rotorsim.linear.linearisation import as_model, entry_names, linearise, require_finite
@@ -90,11 +90,9 @@ def _injections(diagram: Diagram, port: str, count: int) -> list[Injection]:
     """Return those of one port, behind ``count`` others."""
     block, _, name = port.rpartition(".")
     node = diagram.nodes.get(block)
-    if node is None:
-        raise RotorsimError(Problem("no such block", block or port, hint=near_miss(block or port, diagram.nodes)))
-    declared = node.outputs.get(name) or node.inputs.get(name)
-    if declared is None:
-        raise RotorsimError(Problem("no such port", port, hint=near_miss(name, [*node.inputs, *node.outputs])))
+    declared = None if node is None else node.outputs.get(name) or node.inputs.get(name)
+    if node is None or declared is None:
+        raise RotorsimError(wrong_port(diagram, port))
     names, unit = entry_names(port, declared.shape), declared.unit or "1"
     if name in node.outputs:
         return [Injection(entry, port, entry, unit) for entry in names]

@@ -12,6 +12,11 @@ from tests.cli.conftest import Run
 
 UNBALANCE = ["frequency", "jeffcott", "--from", "unbalance.force", "--to", "rotor.displacement"]
 
+ENTRY = (
+    "amb.force[1]: is an entry; a test signal enters at a whole port\n\n"
+    "hint: name 'amb.force': the results tell each of its entries\n"
+)
+
 
 def test_what_is_printed(run: Run) -> None:
     found = run(*UNBALANCE, "--plot", "bode.png")
@@ -62,6 +67,13 @@ def test_a_rate_that_passes_by_the_test_signal_is_said(run: Run) -> None:
     )
 
 
+@pytest.mark.parametrize("verb", [("step", "--to", "rotor.displacement", "--from"), ("margins", "--at")])
+def test_an_entry_is_refused_where_a_test_signal_enters(run: Run, verb: tuple[str, ...]) -> None:
+    """FAULT of an earlier version: "did you mean 'force'?" of 'amb.force[1]'."""
+    found = run(verb[0], "jeffcott", *verb[1:], "amb.force[1]")
+    assert (found.exit_code, found.stderr) == (2, f"error: {ENTRY}")
+
+
 @pytest.mark.parametrize(
     ("more", "text"),
     [
@@ -69,6 +81,14 @@ def test_a_rate_that_passes_by_the_test_signal_is_said(run: Run) -> None:
         (["--range", "3 Hz"], "--range 3 Hz: not LOW:HIGH\n\nhint: for example --range '5 Hz:2000 Hz'\n"),
         (["--range", "3 rpm:4 rpm"], "--range 3 rpm: not a frequency\n\nhint: for example --range '5 Hz:2000 Hz'\n"),
         (["--from", "unbalance.forse"], "unbalance.forse: no such port\n\nhint: did you mean 'force'?\n"),
+        (["--from", "unbalence.force"], "unbalence: no such block\n\nhint: did you mean 'unbalance'?\n"),
+        (
+            ["--from", "unbalance"],
+            "unbalance: is a block, not a port\n\nhint: its ports: unbalance.theta, unbalance.speed, "
+            "unbalance.acceleration, unbalance.force\n",
+        ),
+        (["--from", "amb.force[1]"], ENTRY),
+        (["--from", "amb.force[1]", "--open"], ENTRY),
     ],
 )
 def test_what_is_refused(run: Run, more: list[str], text: str) -> None:

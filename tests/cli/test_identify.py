@@ -218,7 +218,7 @@ WHOLE = "not a list of different whole numbers"
         (["--orders", "99", "--method", "regression"], "error: "),
         (["--method", "ml"], "'ml' is not one of 'likelihood', 'regression'"),
         (["--reduction", "static"], "'static' is not one of 'exact', 'central'"),
-        (["--measured-input", "x.y"], "error: x.y: no such output port"),
+        (["--measured-input", "x.y"], "error: x: no such block"),
         (["--measured-input", "amb.force"], "error: amb.force: not all of it was measured"),
         (["--hold-out", "nowhere"], "nowhere: error: file does not exist"),
         (["--set", "viscous_damping=-3"], "the value -3 N s/m is outside its bounds 0 .. inf"),

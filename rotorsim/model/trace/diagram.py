@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.block import Shape, flatten, size_of, unflatten
-from rotorsim.diagram.diagram import Diagram, Endpoint
-from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.diagram.diagram import Diagram, Endpoint, wrong_port
+from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.trace.block import BlockTrace
 from rotorsim.model.trace.loops import solve_loop
 from rotorsim.model.trace.order import Key, block_traces, evaluation_groups, evaluation_order, feedthrough_graph
@@ -142,8 +142,7 @@ class _Tracer:
         node = self.diagram.nodes.get(block)
         known = () if node is None else (*node.outputs, *(node.inputs if taken else ()))
         if port not in known:
-            hint = near_miss(port, known) if known else near_miss(block, self.diagram.nodes)
-            raise RotorsimError(Problem(f"no such {'port' if taken else 'output port'}", name, hint=hint))
+            raise RotorsimError(wrong_port(self.diagram, name, inputs=taken))
         return block, port
 
     def _is_additive(self, block: str, port: str) -> bool:
