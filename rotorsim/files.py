@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import math
 import os
 import platform
 import re
@@ -154,3 +155,10 @@ def _is_left(status: os.stat_result, machine: str, process: int) -> bool:
     except OSError:
         pass  # of another user
     return False
+
+
+def json_number(value: float) -> float | str | None:
+    """Return a number as JSON can hold it: "infinity" or "-infinity", as text, and null (None) for NaN, not known."""
+    if math.isfinite(value):
+        return float(value)
+    return None if math.isnan(value) else "infinity" if value > 0 else "-infinity"

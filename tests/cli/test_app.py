@@ -7,11 +7,12 @@ import subprocess
 import sys
 import warnings
 
+import numpy as np
 import pytest
 
 from rotorsim.cli import app
 from rotorsim.cli.app import VERBS, rotorsim
-from rotorsim.cli.shared.output import show_problems
+from rotorsim.cli.shared.output import echo_json, show_problems
 from rotorsim.errors import Place, Problem, RotorsimError
 
 
@@ -27,6 +28,19 @@ def test_every_verb_has_help_json_and_its_line(run, verb: str) -> None:
     result = run(verb, "--help")
     assert result.exit_code == 0
     assert "--json" in result.stdout
+
+
+def test_json_tells_infinite_from_unknown(capsys) -> None:
+    """FAULT of an earlier version: both were null."""
+    values = np.array([1.5, np.inf, -np.inf, np.nan])
+    echo_json({"values": values, "pole": complex(-1.0, np.inf), "one": np.float64(np.inf), "count": 2, "none": None})
+    assert json.loads(capsys.readouterr().out, parse_constant=pytest.fail) == {
+        "values": [1.5, "infinity", "-infinity", None],
+        "pole": [-1.0, "infinity"],
+        "one": "infinity",
+        "count": 2,
+        "none": None,
+    }
 
 
 def test_unknown_verb_names_the_near_one(run) -> None:

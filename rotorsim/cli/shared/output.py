@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 import click
 
 from rotorsim.errors import Problem, visible
+from rotorsim.files import json_number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,7 +27,7 @@ def show(as_json: bool, data: Callable[[], Any], text: Callable[[], str]) -> Non
 
 
 def echo_json(data: Any) -> None:
-    """Print data as JSON on stdout; numbers that JSON cannot hold become null."""
+    """Print data as JSON on stdout; numbers that it has not as `json_number` says."""
     click.echo(json.dumps(plain(data), indent=2, allow_nan=False))
 
 
@@ -41,7 +41,7 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, complex):
         return [plain(value.real), plain(value.imag)]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return json_number(value) if isinstance(value, float) else value
 
 
 def note(text: str) -> None:

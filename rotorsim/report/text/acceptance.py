@@ -9,6 +9,7 @@ import numpy as np
 from rotorsim.acceptance.acceptance import Acceptance
 from rotorsim.acceptance.conditions import Conditions
 from rotorsim.acceptance.criterion import Criterion
+from rotorsim.files import json_number
 from rotorsim.report.text.table import rpm, table
 
 CRITERION_COLUMNS = ("verdict", "quantity", "where", "value", "limit", "", "clause")
@@ -77,8 +78,8 @@ def acceptance_data(result: Acceptance) -> dict[str, Any]:
         "recordings": list(result.recordings),
         "verdict": result.verdict,
         "conditions": {
-            "operating": [_number(given.lowest), _number(given.highest)],
-            "trip": _number(given.trip),
+            "operating": [json_number(given.lowest), json_number(given.highest)],
+            "trip": json_number(given.trip),
             "probes": list(given.probes),
             "clearance": dict(given.clearance),
             "planes": list(given.planes),
@@ -105,15 +106,10 @@ def _criterion_data(one: Criterion) -> dict[str, Any]:
         "clause": one.clause,
         "quantity": one.what,
         "where": one.where,
-        "value": _number(one.value),
-        "interval90": None if one.interval90 is None else [_number(end) for end in one.interval90],
-        "limit": _number(one.limit),
+        "value": json_number(one.value),
+        "interval90": None if one.interval90 is None else [json_number(end) for end in one.interval90],
+        "limit": json_number(one.limit),
         "limit_is": "at most" if one.at_most else "at least",
         "unit": one.unit,
         "said": one.said,
     }
-
-
-def _number(value: float) -> float | None:
-    """Return a number that JSON can hold; None for one that is not finite."""
-    return float(value) if np.isfinite(value) else None

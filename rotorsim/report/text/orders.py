@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.criteria import Z90
+from rotorsim.files import json_number
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
 from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.text.table import counted, display_unit, rpm, table
@@ -180,5 +181,5 @@ def _margin_data(one: CriticalSpeed, operating: Operating) -> dict[str, Any]:
     return {"separation_margin": {"actual": margin.actual, "required": margin.required, "verdict": verdict}}
 
 
-def _numbers(values: np.ndarray) -> list[float | None]:
-    return [float(value) if np.isfinite(value) else None for value in values]
+def _numbers(values: np.ndarray) -> list[float | str | None]:
+    return [json_number(float(value)) for value in values]
