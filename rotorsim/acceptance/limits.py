@@ -8,6 +8,7 @@ LARGEST_VIBRATION = 25.4e-6  # m, peak to peak
 VIBRATION_SPEED = 12000.0  # rpm, up to which the largest vibration is allowed
 RESIDUAL = 6350e-6  # kg m of a kilogram at one rpm: 6350 g mm
 HIGHEST_MODE = 2000.0  # Hz: of modes that are listed, as far as ISO 14839-3 looks
+SCALE = (0.5, 6.0)  # within which the response at running clearances is scaled
 ANALYSED = 2.0  # times the residual unbalance: that of an unbalance response analysis
 
 
@@ -26,3 +27,12 @@ def residual_unbalance(mass: float, highest: float) -> float:
     Source: API RP 684 (2005), SP6.8.2.7 and 5.2: 4 W / N [oz in] with W in pounds.
     """
     return RESIDUAL * mass / (highest * 30 / pi)
+
+
+def clearance_scale(ratio: float) -> float:
+    """Return S_cc = A_vl / A_max, at least 0.5 and at most 6: by how much the response at running clearances is scaled.
+
+    Its unbalance is then that which brings the vibration at the probes to its limit. Source: API RP 684 (2005),
+    SP6.8.2.11; API 617 (8th ed., 2014), 4.8.2.11; bounds as ROSS has them of these (petrobras/ross, api_report.py).
+    """
+    return min(max(ratio, SCALE[0]), SCALE[1])

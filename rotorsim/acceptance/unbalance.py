@@ -18,7 +18,7 @@ import numpy as np
 
 from rotorsim.acceptance.conditions import HIGHEST_SHARE, Conditions, campbell_of
 from rotorsim.acceptance.criterion import API_684, MET, NOT_MET, Criterion, Part, judged, not_judged
-from rotorsim.acceptance.limits import ANALYSED, residual_unbalance, vibration_limit
+from rotorsim.acceptance.limits import ANALYSED, clearance_scale, residual_unbalance, vibration_limit
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.loop import linear_system
@@ -36,7 +36,6 @@ BOTH_WHIRLS = 1e-3  # relative: nearer ones are both whirls of one mode, alike i
 SPEED_RESOLUTION = 2e-4  # of the largest speed: a mode of AF 500 there is ten of these wide
 MOST_OPPOSED = 5  # planes, of which all combinations of signs are tried
 POLE_SPEEDS = 3  # at which the poles are looked at: in between these move little, and `_near_maxima` follows
-LARGEST_SCALE = 6.0  # S_cc at most
 CLEARANCE_SHARE = 0.75  # of the diametral clearance, that the scaled response may use
 
 
@@ -57,22 +56,32 @@ class CriticalSpeedOfPlane:
 class UnbalanceCases:
     """All of the unbalance [kg m] in one plane after the other; size (n, places, planes) [m]: 0-peak, major axis.
 
-    places: of ``response.signals``; the first ``probes`` are probes. limit: A_vl [m], peak to peak. scale (planes,):
-    S_cc. masses: rotor -> [kg]; unbalances (planes,) [kg m]. clearance (places,) [m], radial; NaN: none given.
-    operating, trip [rad/s]. critical: maxima of all distributions.
+    places: of ``response.signals``; the first ``probes`` are probes. limit: A_vl [m], peak to peak. ratio (planes,):
+    A_vl / A_max, of which S_cc is made. masses: rotor -> [kg]; unbalances (planes,) [kg m]. clearance (places,) [m],
+    radial; NaN: none given. operating, trip [rad/s]. critical: maxima of all distributions.
     """
 
     response: UnbalanceResponse
     size: np.ndarray
     probes: int
     limit: float
-    scale: np.ndarray
+    ratio: np.ndarray
     clearance: np.ndarray
     operating: tuple[float, float]
     trip: float
     critical: tuple[CriticalSpeedOfPlane, ...]
     masses: Mapping[str, float]
     unbalances: np.ndarray
+
+    @property
+    def scale(self) -> np.ndarray:
+        """S_cc (planes,)."""
+        return np.array([clearance_scale(ratio) for ratio in self.ratio])
+
+    def scale_text(self, plane: int) -> str:
+        """Return S_cc of a plane, and the ratio that it is limited from."""
+        ratio, scale = self.ratio[plane], self.scale[plane]
+        return f"S_cc {scale:.3g}" + (f", of A_vl / A_max {ratio:.3g}" if scale != ratio else "")
 
 
 def unbalance_cases(model: Model, given: Conditions) -> Part:
@@ -107,13 +116,13 @@ def _cases(model: Model, given: Conditions) -> UnbalanceCases:
     limit = vibration_limit(given.highest)
     with np.errstate(divide="ignore"):
         largest = 2 * size[_within(response.speeds, given)][:, :count].max(axis=(0, 1))
-        scale = np.clip(limit / largest, 1.0, LARGEST_SCALE)
+        ratio = limit / largest
     return UnbalanceCases(
         response=response,
         size=size,
         probes=count,
         limit=limit,
-        scale=scale,
+        ratio=ratio,
         clearance=np.array([given.clearance.get(place, np.nan) for place in places]),
         operating=(given.lowest, given.highest),
         trip=given.trip,
@@ -241,7 +250,7 @@ def _judged(model: Model, found: UnbalanceCases, given: Conditions) -> Part:
         curves = 2 * np.where(inside[:, None], found.size[:, :count, j], -np.inf)
         n, i = map(int, np.unravel_index(int(np.argmax(curves)), curves.shape))
         where = f"{found.response.signals[i]} at {speeds[n]:.5g} rpm, U_a at {plane}"
-        said = f"S_cc {found.scale[j]:.3g}"
+        said = found.scale_text(j)
         largest, limit = float(curves[n, i]) * 1e6, found.limit * 1e6
         made.append(Criterion(VIBRATION, "A_max, peak to peak", where, largest, limit, "um", said=said))
     made += _separations(found)
@@ -254,7 +263,9 @@ def _judged(model: Model, found: UnbalanceCases, given: Conditions) -> Part:
         where = f"{found.response.signals[i]} at {speeds[n]:.5g} rpm, U_a at {found.response.planes[j]}"
         limit = CLEARANCE_SHARE * 2 * found.clearance[i] * 1e6
         largest, what = float(curves[n, j]) * 1e6, "S_cc A, peak to peak"
-        made.append(Criterion(CLEARANCE, what, where, largest, limit, "um", said="0 to trip speed"))
+        made.append(
+            Criterion(CLEARANCE, what, where, largest, limit, "um", said=f"{found.scale_text(j)}, 0 to trip speed")
+        )
     return Part(UNBALANCE_TITLE, tuple(made), notes, (found,))
 
 
