@@ -68,6 +68,24 @@ def drifting_entries(model: Model, A: np.ndarray) -> list[str]:
     return named
 
 
+def shifts(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return bases (n, k) of the null spaces of A (n, n): of A N = 0, and of W' A = 0, orthonormal but for units.
+
+    A motion shifted by N c is a motion as well; W' x is what a motion does not change but by what drives it.
+    """
+    from scipy.linalg import matrix_balance, svd  # as in `eigenvectors`
+
+    if not len(A):
+        return A, A
+    balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
+    size = np.abs(balanced).max(axis=1)
+    size[size == 0] = 1.0
+    left, sizes, right = svd(balanced / size[:, None])
+    k = int((sizes <= SINGULAR_STATES * sizes[0]).sum())
+    kept = np.linalg.qr(left[:, len(A) - k :] / size[:, None])[0]
+    return right[len(A) - k :].T * scale[:, None], kept / scale[:, None]
+
+
 def eigenvectors(A: np.ndarray, about: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the eigenvalues (n,) of A (n, n), and left and right vectors (n, r) of the first r, which are not zero.
 

@@ -15,6 +15,7 @@ from rotorsim.linear.linearisation import as_model, refuse_sampled
 from rotorsim.model.compiled import Model
 from rotorsim.recordings.recording import ANGLE
 from rotorsim.settled.continuation import Settings, Setup, orbits
+from rotorsim.settled.periodic import start_of
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
 
@@ -96,8 +97,8 @@ def steps_of(model: Model, rate: float | None) -> tuple[float, int]:
 def settled_state(model: Model, parameters: Mapping[str, float] | None = None) -> np.ndarray:
     """Return the states (n_x,) at t = 0 of the settled periodic motion with these parameters (see `periodic`).
 
-    States without a mean begin at zero mean. Raises RotorsimError, with exit code 1 where there is no stable
-    settled motion.
+    States that nothing returns begin as `start_of` says. Raises RotorsimError, with exit code 1 where there is no
+    stable settled motion.
     """
     model = as_model(model)
     refuse_sampled(model, "a settled start")
@@ -111,8 +112,7 @@ def settled_state(model: Model, parameters: Mapping[str, float] | None = None) -
     motion = orbits(setup, base, p, Settings(harmonics=None, tolerance=_TOLERANCE, stability=True))
     if motion.status[0] != "settled":
         raise RotorsimError(Problem(f"no settled start: {motion.status[0]}", where), exit_code=1)
-    X = np.nan_to_num(motion.X[0], nan=0.0)
-    return np.asarray(X[0].real + 2 * X[1:].real.sum(axis=0))
+    return start_of(model, motion, p[0], parameters)
 
 
 def noisy(result: Result, noise: Noise, run: int = 0) -> Result:

@@ -14,6 +14,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear import linearisation as linear
+from rotorsim.linear.drift import shifts
 from rotorsim.linear.eigenmodes import checked_speeds, require_speed
 from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.model.input_limits import input_limits, passed_limit
@@ -28,6 +29,7 @@ from rotorsim.settled.result import Periodic
 __all__ = ["Channels", "Periodic", "periodic", "settled_start"]
 
 START_TOLERANCE = 1e-10  # size of the harmonics left out of a settled start, which are its transient
+NO_SHIFT = 1e-8  # cosine between what may shift and what stays, below which nothing says by how much
 COUPLED_PERIODIC = "rotorsim.cosim.coupled_periodic"  # a room above this one: imported where parts hide their equations
 
 
@@ -131,7 +133,8 @@ def periodic(
 def settled_start(diagram: Diagram | Model, *, parameters: Mapping[str, Any] | None = None) -> np.ndarray:
     """Return the states (n_x,) of the settled periodic motion at t = 0: a run from there has no transient.
 
-    Of the diagram's own speed. States that drift, which have no mean, are where the diagram starts them.
+    Of the diagram's own speed. States that nothing returns are where a run from the start of the diagram would have
+    brought them, see `start_of`.
 
     Raises RotorsimError as `periodic`, where no settled motion is found, and where it is not stable.
     """
@@ -156,8 +159,25 @@ def settled_start(diagram: Diagram | Model, *, parameters: Mapping[str, Any] | N
     if motion.stable[0] is False:
         what = "its settled motion is not stable: no run stays there"
         raise RotorsimError(Problem(what, model.diagram.name, hint="`rotorsim modes` shows what grows"), exit_code=1)
-    x = samples_of(motion.X, 2 * motion.X.shape[1])[0, 0]
-    return np.where(np.isfinite(x), x, model.x0(p))
+    return start_of(model, motion, p, parameters)
+
+
+def start_of(model: Model, motion: Orbits, p: np.ndarray, parameters: Mapping[str, Any] | None = None) -> np.ndarray:
+    """Return the states (n_x,) at t = 0 of the first of some settled motions of a model.
+
+    With states that drift, such as a shaft angle or an integrator without feedback, it stays one when it is shifted by
+    N c, A N = 0. Of a linear diagram W' x returns after each turn, W' A = 0, but for what grows from turn to turn:
+    c is that with which it is what the diagram starts with, where one is. A free body, of which none is, has no mean
+    displacement.
+    """
+    X = np.nan_to_num(motion.X[0], nan=0.0)
+    x = np.asarray(X[0].real + 2 * X[1:].real.sum(axis=0))
+    if not motion.drifting:
+        return x
+    A = linear.linearise(model, parameters=parameters, inputs=(), outputs=(), at=X[0].real, told=False).A
+    N, W = shifts(A)
+    c = np.linalg.lstsq(W.T @ N, W.T @ (model.x0(p) - x), rcond=NO_SHIFT)[0]
+    return np.asarray(x + N @ c)
 
 
 def _refuse_beyond_limits(setup: Setup, base: np.ndarray, p: np.ndarray, motion: Orbits) -> None:
