@@ -11,7 +11,7 @@ class Sum(Block):
 
     source = "Simulink: Sum"
 
-    input = In(shape="signal", unit=None, many="signs", doc="terms: input1, input2, ...")
+    input = In(shape="signal", unit=None, many="signs", by_parts=True, doc="terms: input1, input2, ...")
     output = Out(shape="signal", unit=None, doc="sum, shape of the inputs")
     signs = Option("++", kind=str, doc="one sign, + or -, for each input")
 

@@ -68,9 +68,6 @@ def add_signal(data: Mapping[str, Any], port: str, source: str, name: str, *, is
     for wire in result["wires"]:
         plain, bracket, index = str(wire[side]).partition("[")
         if plain.strip() == port:
-            if index and not is_output:
-                hint = "inject at the output of the controller, as --inject controller.current"
-                raise RotorsimError(Problem("this input is wired by parts: no signal is added to it", port, hint=hint))
             wire[side] = new + bracket + index
     ends = [port, f"{before}.input1"] if is_output else [f"{after}.output", port]
     result["wires"] += [ends, [f"{before}.output", f"{after}.input1"], [source, f"{after}.input2"]]

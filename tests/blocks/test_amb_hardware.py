@@ -7,6 +7,7 @@ import pytest
 
 from rotorsim import RotorsimError, linearise, load, margins, simulate
 from rotorsim.linear.stability import growing
+from rotorsim.measure.injection import Sweep, with_sweeps
 from tests.acceptance.machines import jeffcott
 from tests.blocks.evaluation import prepare
 
@@ -233,6 +234,31 @@ def test_places_that_tell_no_tilt() -> None:
     with pytest.raises(RotorsimError) as caught:
         load(machine)
     assert "controller: probe_positions are 0.1 m and 0.1 m: two places tell translation from tilt" in str(caught.value)
+
+
+def test_a_block_taken_out_leaves_its_part_of_an_input_at_zero() -> None:
+    """FAULT of an earlier version: refused, "add a wire to each" for the wire that --without takes out."""
+    machine = rigid("modal")
+    machine["blocks"]["probe"] = {"type": "gain", "parameters": {"gain": 0.0}}
+    for ends in machine["wires"]:
+        if ends[1] == "controller.displacement[1]":
+            ends[1] = "probe.input"
+    machine["wires"].append(["probe.output", "controller.displacement[1]"])
+    dead, cut = load(machine), load(machine, without=["probe"])
+    assert ("controller", "displacement") in cut.cut
+    np.testing.assert_array_equal(*(linearise(one, inputs=(), outputs=()).A for one in (dead, cut)))
+
+
+def test_a_test_signal_is_added_to_an_input_that_is_wired_by_parts() -> None:
+    """FAULT of an earlier version: refused."""
+    machine = load(rigid("modal", probes=(2, 4)))
+    port = "controller.displacement"
+    made = with_sweeps(machine, [port], Sweep(5.0, 500.0, {port: 1e-6}), (0.0, 1.0))
+    hz = np.array([20.0, 100.0])
+    ends = ("injection_test.output", "injection_test.rate")
+    found = linearise(load(made.document), inputs=ends, outputs=("injection_after.output",)).response(hz)
+    S = found[:, :, :4] + 2j * np.pi * hz[:, None, None] * found[:, :, 4:]
+    np.testing.assert_allclose(S, margins(machine, port, frequencies=hz).sensitivity, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,8 @@ UNFINISHED = "unfinished"  # code of what is only missing yet: the rest of the d
 class Wiring:
     """The drafts of a document, with the wires between them; mistakes go to the problems of the document.
 
-    removed: blocks taken out, broken: blocks that could not be read. cut: inputs that read zero without a wire. parts:
-    wires of the inputs that are wired by parts.
+    removed: blocks taken out, broken: blocks that could not be read. cut: inputs that read zero without a wire, if only
+    in parts, whose indices are in cut_parts. parts: wires of the inputs that are wired by parts.
     """
 
     flat: FlatDocument
@@ -32,6 +32,7 @@ class Wiring:
     removed: frozenset[str]
     wires: list[Wire] = field(default_factory=list)
     cut: set[tuple[str, str]] = field(default_factory=set)
+    cut_parts: dict[tuple[str, str], list[tuple[int, ...]]] = field(default_factory=dict)
     parts: dict[tuple[str, str], list[RawWire]] = field(default_factory=dict)
     _hints: dict[str, str] = field(default_factory=dict)
 
@@ -72,8 +73,8 @@ class Wiring:
         for (block, port), wires in self.parts.items():
             shape = nodes[block].inputs[port].shape
             wired = np.zeros(shape, bool)
-            for wire in wires:
-                wired[wire.target.index] = True
+            for index in (*(wire.target.index for wire in wires), *self.cut_parts.get((block, port), ())):
+                wired[index] = True
             rows = [k + 1 for k in range(shape[0]) if not wired[k].all()]
             if rows:
                 missing = ", ".join(f"{port}[{k}]" for k in rows)
@@ -90,7 +91,8 @@ class Wiring:
         return found
 
     def _cut(self, end: Endpoint) -> None:
-        """Let an input read zero whose wire has been taken out."""
+        """Let an input, or a part of it, read zero whose wire has been taken out."""
+        self.cut_parts.setdefault((end.block, end.port), []).append(end.index)
         inputs = self.drafts[end.block].template.inputs if end.block in self.drafts else {}
         if end.port in inputs and not inputs[end.port].additive and not inputs[end.port].optional:
             self.cut.add((end.block, end.port))
