@@ -14,8 +14,6 @@ from rotorsim.errors import RotorsimError
 from rotorsim.linear.campbell import Campbell
 from rotorsim.linear.eigenmodes import RESONANT, modes
 from rotorsim.linear.linearisation import as_model, flat_names, linearise, speed_of
-from rotorsim.linear.loop import growing_poles, linear_system
-from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.stability import growing
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.linear.unbalance_response import plane_entries
@@ -33,7 +31,7 @@ MOST_COUPLING = 1e3  # times the anticipated one, up to which the limit of stabi
 
 @dataclass(frozen=True)
 class DampedMode:
-    """frequency [Hz], damped; decrement: 2 pi z / sqrt(1 - z^2), negative where it grows. whirl: "" is not known."""
+    """frequency [Hz], damped; decrement: 2 pi z / sqrt(1 - z^2), negative where it grows."""
 
     frequency: float
     decrement: float
@@ -63,26 +61,24 @@ def _damped(model: Model, given: Conditions) -> Part:
     at = f" at {speed * 30 / np.pi:.5g} rpm" if turning and speed is not None else ""
     found, notes, stable = _modes(model, turning)
     made = [_stable(stable, at)]
-    low = [mode for mode in found if mode.whirl in ("forward", "planar", "")]
+    low = [mode for mode in found if mode.whirl != "backward"]
     if low:
         alike = [mode for mode in low if mode.frequency <= FIRST_PAIR * low[0].frequency]
         first = min(alike, key=lambda mode: mode.decrement)
-        words = f"first {first.whirl or 'damped'} mode, {first.frequency:.4g} Hz{at}"
+        words = f"first {first.whirl} mode, {first.frequency:.4g} Hz{at}"
         made.append(Criterion(LEVEL_1, "log decrement", words, first.decrement, LEAST_DECREMENT, at_most=False))
     weak = [mode for mode in found if mode.decrement < LEAST_DECREMENT and mode is not (first if low else None)]
     for mode in weak:
-        words = f"{mode.whirl or 'damped'} mode, {mode.frequency:.4g} Hz{at}"
+        words = f"{mode.whirl} mode, {mode.frequency:.4g} Hz{at}"
         made.append(
             Criterion(LEVEL_1, "log decrement", words, mode.decrement, LEAST_DECREMENT, at_most=False, required=False)
         )
     results: list[object] = [DampedModes(found)]
-    if turning and not model.n_z:
+    if turning:
         map_of = campbell_of(model, given)
         results.append(map_of)
         made.append(_over_speed(map_of, given))
         notes += _twice(map_of, given)
-    elif model.n_z:
-        notes.append("sampled controllers: the modes are those of the exact loop; their whirl is not told")
     if given.cross_coupling:
         made += _coupled(model, turning, given.cross_coupling, at)
     return Part(DAMPING_TITLE, tuple(made), tuple(notes), tuple(results))
@@ -114,21 +110,13 @@ def _twice(result: Campbell, given: Conditions) -> list[str]:
 
 def _modes(model: Model, turning: dict[str, float]) -> tuple[tuple[DampedMode, ...], list[str], bool]:
     """Return the modes up to 2 kHz, ascending, that force may bring to resonance; notes; whether no pole grows."""
-    if not model.n_z:
-        found = modes(model, parameters=turning)
-        listed = [
-            DampedMode(mode.frequency_hz, decrement_of(mode.eigenvalue), mode.whirl)
-            for mode in found.modes
-            if mode.resonant and mode.frequency_hz <= HIGHEST_MODE
-        ]
-        return tuple(listed), list(found.notes), found.stable
-    system, notes = linear_system(model, (), (), turning)
-    assert isinstance(system, SampledData)
-    poles = np.unique(np.round(system.poles(), 9))
-    resonant = (poles.imag > 0) & (-poles.real < RESONANT * np.abs(poles))
-    seen = resonant & (poles.imag < np.pi / system.shortest) & (poles.imag <= 2 * np.pi * HIGHEST_MODE)
-    listed = [DampedMode(float(p.imag / (2 * np.pi)), decrement_of(p), "") for p in poles[seen]]
-    return (tuple(sorted(listed, key=lambda mode: mode.frequency)), list(notes), not len(growing_poles(system)))
+    found = modes(model, parameters=turning)
+    listed = [
+        DampedMode(mode.frequency_hz, decrement_of(mode.eigenvalue), mode.whirl)
+        for mode in found.modes
+        if mode.resonant and mode.frequency_hz <= HIGHEST_MODE
+    ]
+    return tuple(listed), list(found.notes), found.stable
 
 
 def _coupled(model: Model, turning: dict[str, float], couplings: Mapping[str, float], at: str) -> list[Criterion]:

@@ -31,7 +31,6 @@ VIBRATION, SEPARATION, CLEARANCE = (f"{API_684}, SP6.8.2.{n}" for n in (8, 10, 1
 LOWEST_SHARE = 0.02  # of the trip speed, from which on the response is computed
 SPEED_POINTS = 81  # speeds over all, for the curves; peaks stand at poles, where `NEAR_A_POLE` puts more
 NEAR_A_POLE = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])  # half widths of a pole: speeds beside it
-NOT_LOOKED_FOR = "modes that no plane of unbalance excites are not looked for: a controller is sampled"
 BOTH_WHIRLS = 1e-3  # relative: nearer ones are both whirls of one mode, alike in x and y
 SPEED_RESOLUTION = 2e-4  # of the largest speed: a mode of AF 500 there is ten of these wide
 MOST_OPPOSED = 5  # planes, of which all combinations of signs are tried
@@ -238,7 +237,7 @@ def _judged(model: Model, found: UnbalanceCases, given: Conditions) -> Part:
     rotors = ", ".join(f"{name} of {mass:.4g} kg" for name, mass in found.masses.items())
     amounts = ", ".join(dict.fromkeys(f"{amount * 1e6:.4g}" for amount in found.unbalances))
     words = f"U_a = {amounts} g mm: twice 6350 W / N, {rotors}"
-    notes = (words, *((NOT_LOOKED_FOR,) if model.n_z else ()), *found.response.notes)
+    notes = (words, *found.response.notes)
     ill = speeds[~found.response.stable & (found.response.speeds <= given.trip * (1 + 1e-9))]
     if len(ill):
         said = f"no settled response: unstable from {ill[0]:.5g} to {ill[-1]:.5g} rpm"
@@ -286,8 +285,6 @@ def _separation(speed: float, af: float, margin: Margin, where: str) -> Criterio
 
 def _not_excited(model: Model, found: UnbalanceCases, given: Conditions) -> Iterator[Criterion]:
     """Yield the separation of modes that 1X meets and that no unbalance brought out, by their damping ratios."""
-    if model.n_z:
-        return
     crossings = [one for one in campbell_of(model, given).crossings if one.order == 1]
     told = [(other.peak.lower, other.peak.upper) for other in found.critical]
     for one in crossings:

@@ -12,7 +12,7 @@ import numpy as np
 from rotorsim.cosim.inputs import InputHistory
 from rotorsim.cosim.loop import PartMember
 from rotorsim.cosim.participant import Participant
-from rotorsim.linear.linear_model import LinearModel, linear_part
+from rotorsim.linear.linear_model import LinearModel, LinearPart
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.model.instance import CompiledInstance, Instance, make_instance
 from rotorsim.model.part import Part
@@ -109,7 +109,7 @@ class CompiledParticipant(Participant):
         self.instance.restore(saved)
 
     def linear(self, used: np.ndarray) -> LinearModel | str:
-        return linear_part(self.part, self.p, self.n_z, self.outputs)
+        return LinearPart(self.part, self.n_z, self.outputs).at(self.p)
 
     def in_loop(self) -> PartMember:
         sizes = self.n_z, len(self.inputs), len(self.outputs)

@@ -12,9 +12,12 @@ from scipy.optimize import brentq, linear_sum_assignment
 
 from rotorsim._shown import Shown, xarray_module
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.linear.eigenmodes import RESONANT, Eigen, checked_speeds, eigen, require_speed, shape_signals, whirl
-from rotorsim.linear.linearisation import LinearSystem, as_model, linearise
-from rotorsim.linear.stability import growing
+from rotorsim.linear.eigen import Eigen, eigen
+from rotorsim.linear.eigenmodes import RESONANT, checked_speeds, require_speed, shape_names, whirl
+from rotorsim.linear.linearisation import as_model
+from rotorsim.linear.loop import growing_poles, linear_system
+from rotorsim.linear.sampled_data import SampledData
+from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
 
 UNMATCHED = 0.98  # cost from which two modes are not the same one
@@ -100,16 +103,17 @@ class Campbell(Shown):
 @dataclass(frozen=True, eq=False)
 class _Point:
     eigen: Eigen
-    system: LinearSystem
+    system: StateSpace | SampledData
+    names: tuple[str, ...]
 
     @cached_property
     def whirl(self) -> list[str]:
-        return whirl(self.eigen, self.system)
+        return whirl(self.eigen, self.names)
 
     @cached_property
     def stable(self) -> bool:
         values = np.concatenate([self.eigen.values, self.eigen.real])
-        return bool((values.real <= 0).all()) or not growing(self.system.A)
+        return bool((values.real <= 0).all()) or not len(growing_poles(self.system))
 
 
 def campbell(
@@ -131,12 +135,12 @@ def campbell(
     model = as_model(diagram)
     require_speed(model, "campbell")
     values = np.unique(checked_speeds(speeds, zero=True))
-    outputs = shape_signals(model)
+    names = shape_names(model)
 
     def point(speed: float) -> _Point:
         given = {**(parameters or {}), "speed": speed}
-        system = linearise(model, parameters=given, inputs=(), outputs=outputs, told=False)
-        return _Point(eigen(system.A), system)
+        system = linear_system(model, (), names, given, told=False)[0]
+        return _Point(eigen(system), system, names)
 
     points = [point(float(speed)) for speed in values]
     columns = _follow(points)

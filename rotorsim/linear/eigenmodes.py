@@ -11,13 +11,12 @@ import numpy as np
 from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.drift import eigenvectors
-from rotorsim.linear.linearisation import LinearSystem, as_model, linearise, speed_of
-from rotorsim.linear.stability import growing
+from rotorsim.linear.eigen import Eigen, eigen
+from rotorsim.linear.linearisation import as_model, flat_names, provenance, speed_of
+from rotorsim.linear.loop import growing_poles, linear_system
 from rotorsim.model.compiled import Model
 from rotorsim.units import parse_quantity
 
-REAL_POLE = 1e-8  # imaginary part, relative to the largest |eigenvalue|, above which a pole oscillates
 DEGENERATE = 1e-7  # relative distance of eigenvalues that count as one (isotropic rotor without gyroscopic effect)
 RESONANT = 0.5**0.5  # damping ratio below which a forced response has a maximum
 PLANAR = 1e-6  # relative difference of forward and backward amplitude below which the motion is a line
@@ -99,32 +98,6 @@ class Modes(Shown):
         ]
 
 
-@dataclass(frozen=True)
-class Eigen:
-    """Oscillating eigenvalues (imaginary part positive, ascending), their vectors, and the real poles."""
-
-    values: np.ndarray
-    right: np.ndarray
-    left: np.ndarray
-    real: np.ndarray
-
-
-def eigen(A: np.ndarray) -> Eigen:
-    """Return the eigenvalues of A apart by kind, with right and left vectors (left^H right = 1).
-
-    Those of free bodies and of integrators without feedback are zero, see `eigenvectors`.
-    """
-    values, left, right = eigenvectors(A)
-    limit = REAL_POLE * np.abs(values).max(initial=0.0)
-    real = np.sort(values[np.abs(values.imag) <= limit].real)
-    keep = np.flatnonzero(values.imag > limit)
-    keep = keep[np.argsort(values[keep].imag, kind="stable")]
-    left, right = left[:, keep], right[:, keep]
-    products = np.sum(left.conj() * right, axis=0)
-    products = np.where(np.abs(products) > 0, products, 1.0)
-    return Eigen(values[keep], right, left / products.conj(), real)
-
-
 def two_axis_signals(model: Model) -> tuple[str, ...]:
     """Return the displacement signals whose last dimension is the pair (x, y); tilts where there are none."""
     for ending, unit in ((".displacement", "m"), (".tilt", "rad")):
@@ -151,24 +124,29 @@ def modes(
     nodes gives the direction. Equal amplitudes, and modes of equal eigenvalue (their plane is arbitrary: an
     isotropic rotor without gyroscopic effect), are "planar".
 
-    Raises RotorsimError as `linearise`. Source: Friswell et al., Dynamics of Rotating Machines (2010), 3.6.
+    With sampled controllers they are those of the exact loop, see `eigen`; X and Y are the components at s of a motion
+    that has images at s + 2 pi i j / T, too.
+
+    Raises RotorsimError as `linearise`, and with sampled blocks for a diagram that is not linear.
+    Source: Friswell et al., Dynamics of Rotating Machines (2010), 3.6.
     """
     model = as_model(diagram)
-    system = linearise(model, parameters=parameters, inputs=(), outputs=shape_signals(model), at=at)
-    found = eigen(system.A)
-    direction = whirl(found, system)
-    pairs = _displacements(model)
-    shapes = system.C[: sum(pairs)] @ found.right if pairs else np.zeros((0, len(found.values)))
+    names = shape_names(model)
+    system, notes = linear_system(model, (), names, parameters, at)
+    found = eigen(system)
+    direction = whirl(found, names)
+    count = sum(_displacements(model))
     return Modes(
         modes=tuple(
-            Mode(complex(value), direction[k], _normalised(shapes[:, k])) for k, value in enumerate(found.values)
+            Mode(complex(value), direction[k], _normalised(found.shapes[:count, k]))
+            for k, value in enumerate(found.values)
         ),
         real_poles=found.real,
-        shape_names=system.outputs[: sum(pairs)],
+        shape_names=names[:count],
         speed=speed_of(model, model.parameter_vector(parameters)),
-        stable=not growing(system.A),
-        notes=system.notes,
-        provenance={**system.provenance, "analysis": "modes"},
+        stable=not len(growing_poles(system)),
+        notes=notes,
+        provenance=provenance(model, parameters, "modes"),
     )
 
 
@@ -177,6 +155,11 @@ def shape_signals(model: Model) -> tuple[str, ...]:
     names = two_axis_signals(model)
     tilts = tuple(n for n in model.signals if n.endswith(".tilt") and model.signals[n].shape[-1:] == (2,))
     return names + tuple(n for n in tilts if n not in names)
+
+
+def shape_names(model: Model) -> tuple[str, ...]:
+    """Return the flat names of the entries of mode shapes."""
+    return tuple(name for signal in shape_signals(model) for name in flat_names(model, signal))
 
 
 def _displacements(model: Model) -> list[int]:
@@ -189,10 +172,10 @@ def _normalised(shape: np.ndarray) -> np.ndarray:
     return np.asarray(shape / shape[np.argmax(np.abs(shape))])
 
 
-def whirl(eigen: Eigen, system: LinearSystem) -> list[str]:
-    """Return "forward", "backward" or "planar" for every oscillating eigenvalue (see `modes`)."""
-    motion = system.C @ eigen.right
-    tilt = np.array([".tilt" in name for name in system.outputs], bool)
+def whirl(eigen: Eigen, names: Sequence[str]) -> list[str]:
+    """Return "forward", "backward" or "planar" for every oscillating eigenvalue, by shapes of these entries."""
+    motion = eigen.shapes
+    tilt = np.array([".tilt" in name for name in names], bool)
     directions = []
     for k, value in enumerate(eigen.values):
         distance = np.abs(np.delete(eigen.values, k) - value)

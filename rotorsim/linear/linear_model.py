@@ -51,34 +51,44 @@ class LinearModel:
         return [t for k, t in enumerate(times) if k == 0 or t - times[k - 1] > HIT * min(self.periods)]
 
 
-def linear_part(part: Part, p: np.ndarray, n_z: int, outputs: Sequence[str]) -> LinearModel:
-    """Return a part, with its sampled blocks, linearised where it starts; its inputs lie behind the first n_z of z."""
-    trace = part.trace
-    x0, z0 = part.initial(p)
-    z, u = (_column(trace.z, places) for places in (range(n_z), range(n_z, trace.z.numel())))
-    s = ca.vertcat(trace.x, z)
-    y = ca.vertcat(*[part.expression(name) for name in outputs]) if outputs else ca.SX(0, 1)
-    rate = ca.vertcat(trace.xdot, ca.SX.zeros(n_z, 1))
-    after = ca.vertcat(trace.x, _column(trace.z_next, range(n_z)))
-    point = [trace.t, trace.x, trace.z, trace.p]
-    blocks = [jacobian(e, by) for e in (rate, y) for by in (s, u)]
-    jumps = [jacobian(after, by) for by in (s, u)]
-    exact = not any(ca.depends_on(J, ca.vertcat(trace.t, s, u)) for J in (*blocks, *jumps))
-    flow = ca.Function("flow", point, [ca.densify(J) for J in blocks])
-    n, n_u, n_y = s.numel(), u.numel(), y.numel()
-    shapes = ((n, n), (n, n_u), (n_y, n), (n_y, n_u))  # CasADi has shapes of its own for what is empty
-    A, B, C, D = (np.array(m.full()).reshape(shape) for m, shape in zip(flow(0.0, x0, z0, p), shapes, strict=True))
-    if not trace.samplers:
-        return LinearModel(A, B, C, D, exact=exact)
-    function = ca.Function("jump", [*point, trace.w, trace.hit], [ca.densify(J) for J in jumps])
+class LinearPart:
+    """The derivatives of a part with its sampled blocks as functions, made once; its inputs lie behind n_z of z.
 
-    @cache
-    def jump(due: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-        hit = np.isin(np.arange(len(trace.samplers)), due).astype(float)
-        J, K = function(0.0, x0, z0, p, np.zeros(trace.w.numel()), hit)
-        return np.array(J.full()).reshape(n, n), np.array(K.full()).reshape(n, n_u)
+    exact: the part itself has these matrices, everywhere and always.
+    """
 
-    return LinearModel(A, B, C, D, tuple(float(p[sampler.period]) for sampler in trace.samplers), jump, exact)
+    def __init__(self, part: Part, n_z: int, outputs: Sequence[str]) -> None:
+        trace = part.trace
+        self.part = part
+        z, u = (_column(trace.z, places) for places in (range(n_z), range(n_z, trace.z.numel())))
+        s = ca.vertcat(trace.x, z)
+        y = ca.vertcat(*[part.expression(name) for name in outputs]) if outputs else ca.SX(0, 1)
+        rate = ca.vertcat(trace.xdot, ca.SX.zeros(n_z, 1))
+        after = ca.vertcat(trace.x, _column(trace.z_next, range(n_z)))
+        point = [trace.t, trace.x, trace.z, trace.p]
+        blocks = [jacobian(e, by) for e in (rate, y) for by in (s, u)]
+        jumps = [jacobian(after, by) for by in (s, u)]
+        self.exact = not any(ca.depends_on(J, ca.vertcat(trace.t, s, u)) for J in (*blocks, *jumps))
+        self._flow = ca.Function("flow", point, [ca.densify(J) for J in blocks])
+        self._jump = ca.Function("jump", [*point, trace.w, trace.hit], [ca.densify(J) for J in jumps])
+        n, n_u, n_y = s.numel(), u.numel(), y.numel()
+        self._shapes = ((n, n), (n, n_u), (n_y, n), (n_y, n_u))  # CasADi has shapes of its own for what is empty
+
+    def at(self, p: np.ndarray) -> LinearModel:
+        """Return the matrices with parameters p, where the part starts."""
+        trace = self.part.trace
+        x0, z0 = self.part.initial(p)
+        found = [np.array(m.full()) for m in self._flow(0.0, x0, z0, p)]
+        A, B, C, D = (m.reshape(shape) for m, shape in zip(found, self._shapes, strict=True))
+
+        @cache
+        def jump(due: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+            hit = np.isin(np.arange(len(trace.samplers)), due).astype(float)
+            J, K = self._jump(0.0, x0, z0, p, np.zeros(trace.w.numel()), hit)
+            return np.array(J.full()).reshape(A.shape), np.array(K.full()).reshape(B.shape)
+
+        periods = tuple(float(p[sampler.period]) for sampler in trace.samplers)
+        return LinearModel(A, B, C, D, periods, jump if periods else None, self.exact)
 
 
 def _column(vector: Any, places: range) -> Any:

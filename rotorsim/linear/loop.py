@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, wrong_port
 from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.linear.linear_model import LinearModel, linear_part
+from rotorsim.linear.linear_model import LinearModel, LinearPart
 from rotorsim.linear.linearisation import as_model, entry_names, linearise, require_finite
 from rotorsim.linear.sampled_data import MOST_HITS, SampledData
 from rotorsim.linear.stability import growing, growing_multipliers
@@ -221,13 +222,18 @@ def linear_system(
     return _sampled(_linear_model(model, ports, signals, parameters), model), ()
 
 
+_PARTS: WeakKeyDictionary[Model, dict[tuple[tuple[str, ...], tuple[str, ...]], LinearPart]] = WeakKeyDictionary()
+
+
 def _linear_model(
     model: Model, ports: Sequence[str], signals: Sequence[str], parameters: Mapping[str, Any] | None
 ) -> LinearModel:
     """Return a diagram with sampled blocks as a linear model. Raises RotorsimError for one that is not linear."""
-    part = open_part(model.diagram, inputs=ports)
-    p = part.parameter_vector(parameters)
-    linear = linear_part(part, p, model.n_z, signals)
+    known, asked = _PARTS.setdefault(model, {}), (tuple(ports), tuple(signals))
+    if asked not in known:
+        known[asked] = LinearPart(open_part(model.diagram, inputs=ports), model.n_z, signals)
+    part = known[asked].part
+    linear = known[asked].at(part.parameter_vector(parameters))
     if not linear.exact:
         moving = ca.vertcat(part.trace.t, part.trace.x, part.trace.z)
         rates = ca.jacobian(part.trace.xdot, ca.vertcat(part.trace.x, part.trace.z))

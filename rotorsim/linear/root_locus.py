@@ -12,6 +12,7 @@ from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.drift import eigenvectors
+from rotorsim.linear.eigen import multipliers
 from rotorsim.linear.eigenmodes import RESONANT
 from rotorsim.linear.linearisation import as_model, provenance
 from rotorsim.linear.loop import growing_poles, linear_system
@@ -132,6 +133,5 @@ def root_locus(
 def _poles(system: StateSpace | SampledData) -> np.ndarray:
     if not isinstance(system, SampledData):
         return eigenvectors(system.A)[0]
-    unit = np.eye(len(system.monodromy))
-    multipliers = 1 + eigenvectors(system.monodromy - unit, about=1.0)[0].astype(complex)
-    return np.asarray(np.log(multipliers[np.abs(multipliers) > NO_MULTIPLIER]) / system.period)
+    mu = multipliers(system)[0]
+    return np.asarray(np.log(mu[np.abs(mu) > NO_MULTIPLIER]) / system.period)

@@ -1,0 +1,107 @@
+"""Eigenvalues of linear systems, with and without samplers, their vectors, and what is seen of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, pi
+
+import numpy as np
+from scipy.linalg import expm
+
+from rotorsim.linear.drift import eigenvectors
+from rotorsim.linear.sampled_data import NO_MULTIPLIER, SampledData
+from rotorsim.linear.state_space import StateSpace
+
+REAL_POLE = 1e-8  # imaginary part, relative to the largest |eigenvalue|, above which a pole oscillates
+MOST_IMAGES = 16  # of a frequency, above and below, among which that of a mode is looked for
+ALIKE = 1e-9  # relative difference of images that are one but for rounding
+INSTANTS = 4  # in a period of the highest of them
+
+
+@dataclass(frozen=True)
+class Eigen:
+    """Oscillating eigenvalues (imaginary part positive, ascending), their vectors, and the real poles [1/s].
+
+    shapes (k, m): of outputs y = Re(shape exp(value t)). right, left (n, m): vectors, left^H right = 1, of A, or of the
+    monodromy at t = 0 where there are samplers.
+    """
+
+    values: np.ndarray
+    right: np.ndarray
+    left: np.ndarray
+    real: np.ndarray
+    shapes: np.ndarray
+
+
+def eigen(system: StateSpace | SampledData) -> Eigen:
+    """Return the eigenvalues of a system apart by kind, with their vectors and shapes.
+
+    Those of free bodies and of integrators without feedback are zero, see `eigenvectors`. With samplers s(T) = mu s(0)
+    over a common period T, s(t) = v(t) exp(s t) with v periodic: s = ln(mu) / T + 2 pi i j / T is that j of which v
+    shows most in the outputs. It may lie above half of the sample rate: a bent mode that the samplers hardly touch.
+    """
+    if isinstance(system, SampledData):
+        return _sampled(system)
+    values, left, right = eigenvectors(system.A)
+    limit = REAL_POLE * np.abs(values).max(initial=0.0)
+    real = np.sort(values[np.abs(values.imag) <= limit].real)
+    keep = np.flatnonzero(values.imag > limit)
+    return _ordered(values[keep], left[:, keep], right[:, keep], real, system.C @ right[:, keep])
+
+
+def _ordered(s: np.ndarray, left: np.ndarray, right: np.ndarray, real: np.ndarray, shapes: np.ndarray) -> Eigen:
+    order = np.argsort(s.imag, kind="stable")
+    s, left, right = s[order], left[:, order], right[:, order]
+    products = np.sum(left.conj() * right, axis=0)
+    products = np.where(np.abs(products) > 0, products, 1.0)
+    return Eigen(s, right, left / products.conj(), real, shapes[:, order])
+
+
+def multipliers(system: SampledData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the multipliers (m,) over a period, and left and right vectors (n, r) of the first r: the others are 1."""
+    M = system.monodromy
+    values, left, right = eigenvectors(M - np.eye(len(M)), about=1.0)
+    return 1 + values.astype(complex), left, right
+
+
+def _sampled(system: SampledData) -> Eigen:
+    mu, left, right = multipliers(system)
+    known = np.flatnonzero((np.abs(mu[: right.shape[1]]) > NO_MULTIPLIER) & (mu.imag[: right.shape[1]] >= 0))
+    s, v, w = np.log(mu[known]) / system.period, right[:, known], left[:, known]
+    images, shapes = _images(system, s, v)
+    seen = np.linalg.norm(shapes, axis=1)
+    rate = 2 * pi / system.period
+    seen[images == 0] *= 1 + ALIKE  # of what is not seen, or at half of the rate, where both images are alike
+    place = np.where(s.imag == 0, len(images) // 2, np.argmax(seen, axis=0))
+    s = s + 1j * rate * images[place]
+    shapes = np.take_along_axis(shapes, place[None, None], 0)[0]
+    mirrored = s.imag < 0
+    s, shapes = np.where(mirrored, s.conj(), s), np.where(mirrored, shapes.conj(), shapes)
+    v, w = np.where(mirrored, v.conj(), v), np.where(mirrored, w.conj(), w)
+    limit = REAL_POLE * np.abs(s).max(initial=0.0)
+    real = np.concatenate([s[np.abs(s.imag) <= limit].real, np.zeros(len(mu) - right.shape[1])])
+    keep = np.flatnonzero(s.imag > limit)
+    return _ordered(s[keep], w[:, keep], v[:, keep], np.sort(real), shapes[:, keep])
+
+
+def _images(system: SampledData, s: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return numbers j (J,), and the components of y at s + 2 pi i j / T, (J, k, m), of motions v (n, m) at t = 0.
+
+    (1 / T) integral over T of C s(t) exp(-(s + 2 pi i j / T) t), by the trapezoidal rule between hits.
+    """
+    T, highest = system.period, float(np.abs(system.flow.poles().imag).max(initial=0.0))
+    most = min(ceil(highest * T / (2 * pi)), MOST_IMAGES * round(T / system.shortest))
+    images = np.arange(-most, most + 1)
+    parts = max(ceil(INSTANTS * (most + 1) / len(system.times)), INSTANTS)
+    found = np.zeros((len(images), len(system.flow.C), len(s)), complex)
+    steps: dict[str, np.ndarray] = {}
+    state = v.astype(complex)
+    for start, length, (J, _) in zip(system.times, system.lengths, system.jumps, strict=True):
+        state, h = J @ state, length / parts
+        step = steps.setdefault(f"{h:.9e}", expm(system.flow.A * h))
+        for part in range(parts + 1):
+            weight = h / T * (0.5 if part in (0, parts) else 1.0)
+            turn = np.exp(-(s + 2j * pi / T * images[:, None]) * (start + part * h))
+            found += weight * (system.flow.C @ state) * turn[:, None]
+            state = step @ state if part < parts else state
+    return images, found
