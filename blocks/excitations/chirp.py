@@ -45,5 +45,6 @@ class Chirp(Block):
             angle, speed = p.first * p.duration / some * (grown - 1.0), p.first * grown
         inside = where(t < p.start, 0.0, where(t <= p.start + p.duration, 1.0, 0.0))
         return Equations(
-            outputs={"output": p.amplitude * sin(angle) * inside, "rate": p.amplitude * speed * cos(angle) * inside}
+            outputs={"output": p.amplitude * sin(angle) * inside, "rate": p.amplitude * speed * cos(angle) * inside},
+            events={"start": t - p.start, "end": t - p.start - p.duration},  # that no step passes over it
         )

@@ -174,3 +174,21 @@ def test_an_algebraic_loop_without_a_solution_is_said():
     assert result.cause == "loop"
     assert result.counters["loop_residual"] > 1e-9
     assert list(result.signals) == ["y.output"]
+
+
+@pytest.mark.parametrize("method", ["dop853", "rk45", "radau", "bdf", "lsoda"])
+def test_a_sweep_that_begins_while_all_is_at_rest_is_not_stepped_over(method: str) -> None:
+    """FAULT of an earlier version: y' = sweep of 0.5 to 1.5 s was 0 with lsoda. Linear: y = int sin(a t + b t^2)."""
+    sweep = {"spacing": "linear", "start": 0.5, "duration": 1.0, "first": 50.0, "last": 500.0}
+    document = {
+        "schema_version": 1,
+        "name": "sweep",
+        "blocks": {"sweep": {"type": "chirp", "parameters": sweep}, "y": {"type": "integrator"}},
+        "wires": [["sweep.output", "y.input"]],
+        "solver": {"method": method, "step": "1 ms", "stop": "2 s"},
+        "record": ["y.output"],
+    }
+    tau = np.linspace(0.0, 1.0, 200_001)
+    values = np.sin(50.0 * tau + 225.0 * tau**2)
+    expected = np.sum((values[1:] + values[:-1]) / 2) * tau[1]
+    assert simulate(load(document))["y.output"][-1] == pytest.approx(expected, rel=1e-4)
