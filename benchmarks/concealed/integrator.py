@@ -26,6 +26,7 @@ Forces = Callable[["Nodes", Array], Array]  # (nodes, outputs (L, p, s)) -> inpu
 DEEPEST = 16
 FIXED_POINT, NEWTON = 25, 12
 EXACT = 1e-18  # change of an output, in its scale, at which forces count as solved
+FAR = 1.0  # output, in its scale, of a motion that does not come back: its steps would be halved without end
 
 
 def radau(points: int) -> Array:
@@ -164,7 +165,11 @@ class Stepper:
         return states.reshape(-1, *w.shape)
 
     def forced_run(self, w: Array, known: Array, nodes: Callable[[int], Nodes], history: History) -> Array:
-        """Step with forces that depend on the motion; return the states (N S, L, n) at the samples."""
+        """Step with forces that depend on the motion; return the states (N S, L, n) at the samples.
+
+        Raises:
+            ArithmeticError: the forces of a step cannot be solved, or the motion grows without bound
+        """
         lanes, count, m, s = known.shape
         flat = known.reshape(lanes, count, m * s, 1)
         table = self.table(0)
@@ -174,6 +179,8 @@ class Stepper:
             now = nodes(k)
             now.past = history.past()
             ends, f, y = self.advance(w, flat[:, k], now, guess, table, 0)
+            if not (np.abs(y[..., -1]) <= FAR * self.scales).all():  # not a number, too
+                raise ArithmeticError("the motion grows without bound")
             history.keep(y)
             guess = f @ self.extrapolate.T if self.rough is None else f[..., -1:] + np.zeros(s)
             states[k] = np.swapaxes(ends, 0, 1)

@@ -191,6 +191,15 @@ def test_mean_of_a_lifted_rotor_settles_as_its_integrators_do(machine: str) -> N
             assert abs(seen[-1] - condensed[lane, row, -1]) < 5e-2 * abs(condensed[lane, row, -1])
 
 
+def test_a_rotor_that_falls_out_of_its_bearings_ends_the_simulation() -> None:
+    """A floating rotor whose current is cut off at half of what holds it: an unstable pole is left."""
+    parameters, runs, _, peaks = scene("two_amb_rotor")
+    peaks |= {"i": 0.5 * peaks["i"]}
+    fault = drawn("current_clipping", "two_amb_rotor", 0.0, parameters, peaks, 1, 2)
+    with pytest.raises(ArithmeticError, match="without bound"):
+        Simulation("two_amb_rotor", parameters, runs[3:4], generator.RATE, (fault,)).run()
+
+
 @pytest.mark.parametrize(
     ("machine", "name", "node"),
     [
