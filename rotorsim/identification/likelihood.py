@@ -57,14 +57,22 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class _Profiled:
-    """A run's whitened residual without its nuisances, an orthonormal base of these (n, j), the best changes of means
-    and inputs, and the residual's part along the base (j,)."""
+    """Whitened residuals of all runs without their nuisances (R, n), an orthonormal base of these (R, n, j).
+
+    count: of the columns of the bases that are not zero. means, inputs (R, orders, V): the best changes of both; gain
+    (R, j): the part of the residuals along the base.
+    """
 
     residual: np.ndarray
     base: np.ndarray
-    means: np.ndarray
+    count: int
+    means: list[np.ndarray]
     inputs: np.ndarray
     gain: np.ndarray
+
+    def without(self, columns: np.ndarray) -> np.ndarray:
+        """Return whitened columns (R, n, m) without what the nuisances take up."""
+        return np.asarray(columns - self.base @ (self.base.swapaxes(1, 2) @ columns))
 
 
 class Likelihood:
@@ -101,13 +109,16 @@ class Likelihood:
             whitener_of(fit, columns, self.K, self.keep, experiment.resolution, beside=self.beside > 0)
             for fit, columns in zip(experiment.fits, experiment.columns, strict=True)
         ]
-        self.data_rows = self._white(self.data)
+        self.data_rows = self._white(real_columns(self.data[..., None]))[..., 0]
         self._means: list[np.ndarray] | None = None
 
-    def _white(self, harmonics: np.ndarray) -> list[np.ndarray]:
-        """Return harmonics (R, orders, c + V) as whitened rows of each run."""
-        rows = real_vector(harmonics)
-        return [white.apply(own) for white, own in zip(self.whiteners, rows, strict=True)]
+    def _white(self, columns: np.ndarray) -> np.ndarray:
+        """Return real columns (R, all, j) of each run whitened, (R, n, j)."""
+        kept = columns[:, self.keep]
+        used = np.flatnonzero(kept.any(axis=(0, 2)))
+        last = int(used[-1]) + 1 if len(used) else 0  # means of states move the lowest order alone
+        pairs = zip(self.whiteners, kept[:, :last], strict=True)
+        return np.array([white.apply_kept(own) for white, own in pairs])
 
     def rough(self) -> Likelihood:
         """Return the likelihood with slow means by linear theory where it takes several steps: to compare starts."""
@@ -129,38 +140,38 @@ class Likelihood:
             Y = self._padded(prediction.Y)
             turn = self._turned(Y)
             Y = Y * turn[:, :, None]
-            rows = real_vector(np.concatenate([Y, inputs], axis=2))
-            runs = [self._profiled(prediction, r, Y[r], own, fresh[r].places) for r, own in enumerate(rows)]
-            still = all(np.linalg.norm(run.gain) <= tolerance * np.linalg.norm(run.residual) for run in runs)
-            if still or not prediction.settled.all():
+            runs = self._profiled(prediction, Y, inputs, [known.places for known in fresh])
+            gain, left = (np.linalg.norm(part, axis=1) for part in (runs.gain, runs.residual))
+            if (gain <= tolerance * left).all() or not prediction.settled.all():
                 break
-            means = [own + run.means for own, run in zip(means, runs, strict=True)]
-            inputs = inputs + np.array([run.inputs for run in runs])
+            means = [own + change for own, change in zip(means, runs.means, strict=True)]
+            inputs = inputs + runs.inputs
         if self._shifts:
-            prediction = motion.predict(theta, [run.means for run in runs])
+            prediction = motion.predict(theta, runs.means)
             Y = self._padded(prediction.Y) * turn[:, :, None]
         elif prediction.settled.all():
             self._means = means
         derivatives = prediction.sensitivity()
         for r, known in enumerate(fresh):
-            derivatives[r] += prediction.by_means[r][..., known.places] @ known.jacobian
+            if len(known.places):
+                derivatives[r] += prediction.by_means[r][..., known.places] @ known.jacobian
         derivatives = self._padded(derivatives) * turn[:, :, None, None]
-        columns = real_columns(np.pad(derivatives, ((0, 0), (0, 0), (0, self.V), (0, 0))))
-        jacobian = [-white.apply(own) for white, own in zip(self.whiteners, columns, strict=True)]
-        jacobian = [J - run.base @ (run.base.T @ J) for J, run in zip(jacobian, runs, strict=True)]
-        return self._together(runs, jacobian, Y)
+        if self.V:
+            derivatives = np.pad(derivatives, ((0, 0), (0, 0), (0, self.V), (0, 0)))
+        return self._together(runs, runs.without(-self._white(real_columns(derivatives))), Y)
 
     def _padded(self, harmonics: np.ndarray) -> np.ndarray:
         """Return harmonics (R, K+1 or orders, ...) with nothing on the lines beside them, where there is none."""
+        if harmonics.shape[1] == self.orders:
+            return harmonics
         return np.pad(harmonics, ((0, 0), (0, self.orders - harmonics.shape[1]), *[(0, 0)] * (harmonics.ndim - 2)))
 
-    def _together(self, runs: Sequence[_Profiled], jacobian: Sequence[np.ndarray], Y: np.ndarray) -> Evaluation:
+    def _together(self, runs: _Profiled, jacobian: np.ndarray, Y: np.ndarray) -> Evaluation:
         """Return the evaluation of runs that share the delay of their pulses; Y is turned by the best delay."""
-        e, J = np.concatenate([run.residual for run in runs]), np.concatenate(jacobian)
+        e, J = runs.residual.ravel(), jacobian.reshape(-1, jacobian.shape[2])
         late = None
         if any(fit.stamp for fit in self.experiment.fits) and np.isfinite(e).all():
-            own = zip(self.late, runs, strict=True)
-            late = np.concatenate([part - run.base @ (run.base.T @ part) for part, run in own])
+            late = runs.without(self.late[..., None]).ravel()
             size = float(late @ late)
             if size > 0:
                 best = float(late @ e) / (1 + size)
@@ -170,16 +181,15 @@ class Likelihood:
                 turn = np.zeros(Y.shape[:2])
                 turn[:, : self.K + 1] = np.outer(angle, np.arange(self.K + 1))
                 Y = Y * np.exp(1j * turn)[:, :, None]
-        ends = np.cumsum([len(run.residual) for run in runs])[:-1]
-        misfit = np.array([float(part @ part) for part in np.split(e, ends)])
-        return Evaluation(e, J, misfit, Y, len(e) - sum(run.base.shape[1] for run in runs), late)
+        misfit = (e.reshape(len(Y), -1) ** 2).sum(axis=1)
+        return Evaluation(e, J, misfit, Y, len(e) - runs.count, late)
 
     @cached_property
-    def late(self) -> list[np.ndarray]:
-        """Whitened change of each run by the common delay of the pulses, one standard deviation."""
+    def late(self) -> np.ndarray:
+        """Whitened change of each run by the common delay of the pulses, one standard deviation, (R, n)."""
         pairs = zip(self.experiment.fits, self.experiment.columns, strict=True)
         stamped = [harmonics_of_time(fit.stamped[: self.K + 1, columns], fit.speed) for fit, columns in pairs]
-        return self._white(self._padded(np.array(stamped)))
+        return self._white(real_columns(self._padded(np.array(stamped))[..., None]))[..., 0]
 
     def response(self, theta: np.ndarray) -> Response:
         """Return what the equations of a linear diagram say at theta (m,)."""
@@ -192,7 +202,7 @@ class Likelihood:
         """
         response = self.response(theta)
         self.data[:, 1:, : self.c] = response.outputs(response.states())[:, 1:]
-        self.data_rows = self._white(self.data)
+        self.data_rows = self._white(real_columns(self.data[..., None]))[..., 0]
         return self.evaluate(theta).jacobian
 
     def white_at(self, r: int, order: int, values: np.ndarray) -> np.ndarray:
@@ -212,66 +222,76 @@ class Likelihood:
                 turn[r, self.K + 1 :] = np.exp(1j * np.arctan2(onto[1], onto[0]))
         return turn
 
-    def nuisances(
-        self, prediction: Prediction, r: int, Y: np.ndarray, known: Sequence[int] | np.ndarray = ()
-    ) -> np.ndarray:
-        """Return the whitened columns of the nuisances of run r at outputs Y (orders, c), see `_nuisances`."""
-        return self.whiteners[r].apply(self._nuisances(prediction, r, Y, known))
+    def nuisances(self, prediction: Prediction, Y: np.ndarray) -> np.ndarray:
+        """Return the whitened columns (R, n, j) of the nuisances at outputs Y (R, orders, c), zero where there is none.
 
-    def _nuisances(
-        self, prediction: Prediction, r: int, Y: np.ndarray, known: Sequence[int] | np.ndarray = ()
-    ) -> np.ndarray:
-        """Return the columns (all, j) of the nuisances of run r at outputs Y (orders, c).
-
-        First the means of slow states but for the known ones, then inputs, order by order, real and imaginary part
-        (the mean: real), then the phase of the lines beside the harmonics.
+        See `_nuisances`.
         """
-        by_means = np.delete(prediction.by_means[r], list(known), axis=-1)
-        columns = np.zeros((by_means.shape[-1], self.orders, self.c + self.V), complex)
-        columns[:, : len(by_means), : self.c] = np.moveaxis(by_means, -1, 0)
+        return self._white(self._nuisances(prediction, Y))
+
+    def _nuisances(self, prediction: Prediction, Y: np.ndarray, known: Sequence[np.ndarray] = ()) -> np.ndarray:
+        """Return the columns (R, all, j) of the nuisances at outputs Y (R, orders, c), zero where there is none.
+
+        First the means of slow states but for the known ones of each run, then inputs, order by order, real and
+        imaginary part (the mean: real), then the phase of the lines beside the harmonics.
+        """
+        R, most = len(Y), max(own.shape[-1] for own in prediction.by_means)
+        columns = np.zeros((R, self.orders, self.c + self.V, most), complex)
+        for r, own in enumerate(prediction.by_means):
+            columns[r, : len(own), : self.c, : own.shape[-1]] = own
+        for r, places in enumerate(known):
+            columns[r, ..., places] = 0.0
         if self.V:
             orders, phases = np.arange(self.orders), np.array([1.0, 1j])
-            effect = np.zeros((self.orders, self.V, 2, self.orders, self.c + self.V), complex)
-            by_inputs = prediction.by_inputs()[r].transpose(0, 2, 1)
-            effect[orders, :, :, orders, : self.c] = by_inputs[:, :, None] * phases[:, None]
+            effect = np.zeros((R, self.orders, self.c + self.V, self.orders, self.V, 2), complex)
+            by_inputs = prediction.by_inputs().swapaxes(0, 1)
+            effect[:, orders, : self.c, orders] = by_inputs[..., None] * phases
             for v in range(self.V):
-                effect[orders, v, :, orders, self.c + v] = phases
-            columns = np.concatenate([columns, effect[0, :, 0], effect[1:].reshape(-1, *columns.shape[1:])])
-        if self.beside and Y[self.K + 1 :].any():
-            phase = np.zeros((1, *columns.shape[1:]), complex)
-            phase[0, self.K + 1 :, : self.c] = 1j * Y[self.K + 1 :]
-            columns = np.concatenate([columns, phase])
-        return real_vector(columns).T if len(columns) else np.zeros(((2 * self.orders - 1) * (self.c + self.V), 0))
+                effect[:, orders, self.c + v, orders, v] = phases
+            shape = (*columns.shape[:3], -1)
+            columns = np.concatenate([columns, effect[..., 0, :, 0], effect[..., 1:, :, :].reshape(shape)], axis=3)
+        if self.beside and Y[:, self.K + 1 :].any():
+            phase = np.zeros((*columns.shape[:3], 1), complex)
+            phase[:, self.K + 1 :, : self.c, 0] = 1j * Y[:, self.K + 1 :]
+            columns = np.concatenate([columns, phase], axis=3)
+        return real_columns(columns)
 
     def _profiled(
-        self, prediction: Prediction, r: int, Y: np.ndarray, rows: np.ndarray, known: np.ndarray
+        self, prediction: Prediction, Y: np.ndarray, inputs: np.ndarray, known: Sequence[np.ndarray]
     ) -> _Profiled:
-        """Return run r without its nuisances, at outputs Y (orders, c), in rows (all,) with the inputs.
+        """Return all runs without their nuisances, at outputs Y (R, orders, c) and inputs (R, orders, V).
 
-        known: slow states whose means are given.
+        known: of each run, slow states whose means are given.
         """
-        means, inputs = np.zeros(prediction.by_means[r].shape[-1]), np.zeros((self.orders, self.V), complex)
-        columns = np.column_stack([rows, self._nuisances(prediction, r, Y, known)])
-        whitened = self.whiteners[r].apply(columns)
-        e, columns = self.data_rows[r] - whitened[:, 0], whitened[:, 1:]
-        if not columns.shape[1] or not prediction.settled[r]:
-            return _Profiled(e, np.zeros((len(e), 0)), means, inputs, np.zeros(0))
-        base, best = _best_factors(columns, e)
-        free = np.setdiff1d(np.arange(len(means)), known)
-        means[free] = best[: len(free)]
+        rows = real_columns(np.concatenate([Y, inputs], axis=2)[..., None])
+        e = self.data_rows - self._white(rows)[..., 0]
+        columns = self._white(self._nuisances(prediction, Y, known))
+        columns[~prediction.settled] = 0.0
+        base, count, gain, best = _best_factors(columns, e)
+        widths = [own.shape[-1] for own in prediction.by_means]
+        change = np.zeros_like(inputs)
         if self.V:
-            rest = best[len(free) :]
-            pairs = rest[self.V :][: 2 * self.V * (self.orders - 1)].reshape(-1, self.V, 2)
-            inputs[0], inputs[1:] = rest[: self.V], pairs[..., 0] + 1j * pairs[..., 1]
-        gain = base.T @ e
-        return _Profiled(e - base @ gain, base, means, inputs, gain)
+            rest = best[:, max(widths) :]
+            change[:, 0] = rest[:, : self.V]
+            pairs = rest[:, self.V :][:, : 2 * self.V * (self.orders - 1)].reshape(len(Y), -1, self.V, 2)
+            change[:, 1:] = pairs[..., 0] + 1j * pairs[..., 1]
+        means = [own[:width] for own, width in zip(best, widths, strict=True)]
+        return _Profiled(e - (base @ gain[..., None])[..., 0], base, count, means, change, gain)
 
 
-def _best_factors(columns: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return an orthonormal base of columns and their best factors; columns that are zero have none."""
-    size = np.linalg.norm(columns, axis=0)
+def _best_factors(columns: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, int, np.ndarray, np.ndarray]:
+    """Return orthonormal bases of columns (R, n, j), how many columns they have in all, e (R, n) along them, factors.
+
+    Columns that are zero have zero bases, and zero factors (R, j).
+    """
+    size = np.linalg.norm(columns, axis=1)
     used = size > 0
-    base, triangle = np.linalg.qr(columns[:, used] / size[used])
-    best = np.zeros(columns.shape[1])
-    best[used] = np.linalg.solve(triangle, base.T @ e) / size[used]
-    return base, best
+    last = np.argsort(~used, axis=1, kind="stable")[:, None]  # those that are zero: the others are a base of their own
+    used, scale = (np.take_along_axis(part[:, None], last, 2) for part in (used, np.where(used, size, 1.0)))
+    base, triangle = np.linalg.qr(np.take_along_axis(columns, last, 2) / scale)
+    base = base * used
+    gain = (base.swapaxes(1, 2) @ e[..., None])[..., 0]
+    factors = np.linalg.solve(triangle + np.eye(size.shape[1]) * ~used, gain[..., None])[..., 0] / scale[:, 0]
+    best = np.zeros_like(size)
+    np.put_along_axis(best, last[:, 0], np.where(used[:, 0], factors, 0.0), 1)
+    return base, int(used.sum()), gain, best

@@ -21,7 +21,13 @@ class Whitener:
 
     def apply(self, rows: np.ndarray) -> np.ndarray:
         """Return whitened rows of a vector (all,) or of columns (all, j)."""
-        return np.asarray(self.matrix @ rows[self.keep])
+        return self.apply_kept(rows[self.keep])
+
+    def apply_kept(self, rows: np.ndarray) -> np.ndarray:
+        """Return whitened columns (n, j), of which the last rows may be left out where they are zero."""
+        last, half = len(rows), len(self.keep) // 2
+        upper = self.matrix[:half, : min(half, last)] @ rows[:half]  # nothing is right of the diagonal
+        return np.concatenate([upper, self.matrix[half:, :last] @ rows])
 
 
 def whitener_of(

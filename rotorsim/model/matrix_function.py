@@ -30,7 +30,7 @@ class MatrixFunction:
     """
 
     def __init__(self, arguments: Sequence[Any], expression: Any | Callable[[], Any]) -> None:
-        self._arguments, self._given = list(arguments), expression
+        self.arguments, self._given = list(arguments), expression
         self._sizes = [argument.numel() for argument in arguments]
         self._mapped: dict[tuple[int, tuple[int, ...]], Any] = {}
         self._calls = 0  # of parts whose equations are elsewhere, by the virtual machine
@@ -46,6 +46,11 @@ class MatrixFunction:
         return np.array(rows, int), np.array(columns, int)
 
     @property
+    def nonzeros(self) -> Any:
+        """The entries that are not zero everywhere, as a column of expressions of the arguments."""
+        return self._expression.nz[:] if len(self.rows) else ca.SX(0, 1)
+
+    @cached_property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the matrix."""
         return tuple(self._expression.shape)
@@ -63,28 +68,28 @@ class MatrixFunction:
     @cached_property
     def _column(self) -> Any:
         """The nonzeros as an expression, without calls whose results nobody wants."""
-        function = ca.Function("f", self._arguments, [self._expression.nz[:]])
+        function = ca.Function("f", self.arguments, [self._expression.nz[:]])
         if not function.get_function():
             return self._expression.nz[:]
-        program, names = Program(), [f"a{k}" for k in range(len(self._arguments))]
+        program, names = Program(), [f"a{k}" for k in range(len(self.arguments))]
         nodes = program.load(function, names)[0]
-        return program.to_casadi(nodes, dict(zip(names, self._arguments, strict=True)), {})
+        return program.to_casadi(nodes, dict(zip(names, self.arguments, strict=True)), {})
 
     @cached_property
     def _steady(self) -> _Steady | None:
         """What follows parameters alone by way of a part whose equations are elsewhere, if anything does."""
-        places = steady_arguments(ca.Function("f", self._arguments, [self._column]))
-        if not places or len(places) == len(self._arguments):
+        places = steady_arguments(ca.Function("f", self.arguments, [self._column]))
+        if not places or len(places) == len(self.arguments):
             return None
-        followed = [self._arguments[k] for k in places]
+        followed = [self.arguments[k] for k in places]
         rest, symbols, values = ca.extract_parametric(self._column, ca.vertcat(*followed))
         return _Steady(places, ca.vertcat(*symbols), rest, MatrixFunction(followed, ca.densify(ca.vertcat(*values))))
 
     @cached_property
     def _function(self) -> Any:
         if self._steady is None:
-            return ca.Function("f", self._arguments, [self._column])
-        return ca.Function("f", [*self._arguments, self._steady.symbols], [self._steady.rest])
+            return ca.Function("f", self.arguments, [self._column])
+        return ca.Function("f", [*self.arguments, self._steady.symbols], [self._steady.rest])
 
     def __call__(self, *columns: Any) -> np.ndarray:
         """Return values, shape (n, rows, columns); each argument is a column or n columns side by side."""

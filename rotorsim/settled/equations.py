@@ -13,12 +13,13 @@ import numpy as np
 from rotorsim.diagram.diagram import Free
 from rotorsim.linear.state_space import reached
 from rotorsim.model.compiled import Model
-from rotorsim.model.linearity import is_affine, jacobian, pattern
+from rotorsim.model.linearity import is_affine, jacobian, pattern, semi_linear
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.slow_states import means_of
 
 FIRST_SAMPLES = 32
 MOST_PERIOD_SAMPLES = 4096
+Pair = tuple[np.ndarray, np.ndarray]  # values (R, rows, columns) and their derivatives (R, rows, columns, m)
 RESOLVED = 1e-11  # size of the last Fourier coefficients, relative to the largest, at which a series has ended
 
 
@@ -164,7 +165,8 @@ class Equations:
         full[c] = x
         of = [part.rates[r], part.outputs, part.df_dx[r, c], part.dg_dx[:, c]]
         f, g, *slopes = ca.substitute(of, [part.x], [full])
-        return PortEquations(part.symbols, x, f, g, part.df_dv[r, :], part.dg_dv, slopes)
+        at_rest = part.laws.of_rows([*r, *range(self.n, self.n + part.c)])
+        return PortEquations(part.symbols, x, f, g, part.df_dv[r, :], part.dg_dv, slopes, at_rest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,13 +176,75 @@ class _Matrix:
     value: MatrixFunction
     derivative: MatrixFunction  # (nonzeros, m)
 
-    def __call__(self, p: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    @classmethod
+    def of(cls, matrix: Any, p: Any, theta: Any) -> _Matrix:
+        """Return a matrix as a function of p and theta."""
+        sparse = ca.sparsify(matrix)
+        nonzeros = sparse.nz[:] if sparse.nnz() else ca.SX(0, 1)
+        return cls(MatrixFunction([p, theta], sparse), MatrixFunction([p, theta], lambda: jacobian(nonzeros, theta)))
+
+    def __call__(self, p: np.ndarray, theta: np.ndarray) -> Pair:
         """Return values (R, rows, columns) and derivatives (R, rows, columns, m), for p (R, n_p), theta (R, m)."""
         values = self.value(p.T, theta.T)
         out = np.zeros((*values.shape, theta.shape[1]))
         if len(self.value.rows):
             out[:, self.value.rows, self.value.columns] = self.derivative(p.T, theta.T)
         return values, out
+
+
+class _Together:
+    """Several matrices, evaluated in one call: they have most of their terms in common."""
+
+    def __init__(self, matrices: Mapping[str, _Matrix]) -> None:
+        self.matrices = matrices
+        parts = [part for matrix in matrices.values() for part in (matrix.value, matrix.derivative)]
+        arguments = parts[0].arguments
+        self.column = MatrixFunction(arguments, ca.vertcat(*[part.nonzeros for part in parts]))
+        self.ends = np.cumsum([len(part.rows) for part in parts])
+
+    def __call__(self, p: np.ndarray, theta: np.ndarray) -> dict[str, Pair]:
+        """Return values and derivatives of each, see `_Matrix`."""
+        found = np.split(self.column(p.T, theta.T)[:, :, 0], self.ends[:-1], axis=1)
+        every = {}
+        for (key, matrix), own, slopes in zip(self.matrices.items(), found[::2], found[1::2], strict=True):
+            rows, columns, entries = matrix.value.rows, matrix.value.columns, matrix.derivative.rows
+            value = np.zeros((len(own), *matrix.value.shape))
+            value[:, rows, columns] = own
+            derivative = np.zeros((*value.shape, theta.shape[1]))
+            derivative[:, rows[entries], columns[entries], matrix.derivative.columns] = slopes
+            every[key] = value, derivative
+        return every
+
+
+class Laws:
+    """A column of expressions as L w(t): laws of time w (q,), the first of them one; L (rows, q) follows p and theta.
+
+    One force moves many rows of a coupled mass matrix; it is followed in time once.
+    """
+
+    def __init__(self, symbols: tuple[Any, Any, Any], L: Any, w: Any) -> None:
+        t, p, theta = self.symbols = symbols
+        self._L, self._w = ca.sparsify(L), w
+        self.L = _Matrix.of(self._L, p, theta)
+        self.w = MatrixFunction([t, p, theta], w)
+        self.w_theta = MatrixFunction([t, p, theta], lambda: jacobian(w, theta))
+
+    @classmethod
+    def of(cls, column: Any, symbols: tuple[Any, Any, Any]) -> Laws:
+        """Return the laws of a column of expressions of (t, p, theta)."""
+        nothing = ca.SX(0, 1)
+        found = semi_linear(column, nothing, symbols[0], nothing)
+        constant = ca.substitute(found.of, found.w, ca.SX.zeros(*found.w.shape))
+        L = ca.horzcat(constant, jacobian(found.of, found.w))
+        return cls(symbols, L, ca.vertcat(1, found.phi))
+
+    def of_rows(self, rows: Sequence[int]) -> Laws:
+        """Return the laws of some rows."""
+        return Laws(self.symbols, self._L[list(rows), :], self._w)
+
+    def at(self, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return w (R, N, q) and its derivatives (R, N, q, m) at times (R, N), for p (R, n_p), theta (R, m)."""
+        return _along(self.w, p, theta, times)[..., 0], _along(self.w_theta, p, theta, times)
 
 
 class PortEquations:
@@ -192,14 +256,23 @@ class PortEquations:
     """
 
     def __init__(
-        self, symbols: tuple[Any, Any, Any], x: Any, f: Any, g: Any, B: Any, D: Any, slopes: Sequence[Any] = ()
+        self,
+        symbols: tuple[Any, Any, Any],
+        x: Any,
+        f: Any,
+        g: Any,
+        B: Any,
+        D: Any,
+        slopes: Sequence[Any] = (),
+        laws: Laws | None = None,
     ) -> None:
-        """slopes: df/dx and dg/dx, where they are known."""
+        """slopes: df/dx and dg/dx, laws: those of [f; g] at rest, where they are known."""
         self.symbols, self.x, self.rates, self.outputs = symbols, x, f, g
         self.df_dx, self.dg_dx = slopes or (jacobian(f, x), jacobian(g, x))
         self.df_dv, self.dg_dv = B, D
         self.r, self.n, self.c, self.m = f.numel(), x.numel(), g.numel(), symbols[2].numel()
         self.samples = FIRST_SAMPLES
+        self._known_laws = laws
         t, p, theta = symbols
         points = [t, x, p, theta]
         self.f, self.g = MatrixFunction(points, f), MatrixFunction(points, g)
@@ -217,23 +290,25 @@ class PortEquations:
     @cached_property
     def matrices(self) -> dict[str, _Matrix]:
         """A, B, C, D of linear equations."""
-        _, p, theta = self.symbols
-        made = {}
-        for key, slopes in zip("ABCD", (self.df_dx, self.df_dv, self.dg_dx, self.dg_dv), strict=True):
-            matrix = ca.sparsify(slopes)
-            nonzeros = matrix.nz[:] if matrix.nnz() else ca.SX(0, 1)
-            derivative = MatrixFunction([p, theta], jacobian(nonzeros, theta))
-            made[key] = _Matrix(MatrixFunction([p, theta], matrix), derivative)
-        return made
+        slopes = zip("ABCD", (self.df_dx, self.df_dv, self.dg_dx, self.dg_dv), strict=True)
+        return {key: _Matrix.of(matrix, *self.symbols[1:]) for key, matrix in slopes}
 
     def values(self, key: str, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """Return a matrix of linear equations, (R, rows, columns), for p (R, n_p) and one theta (m,)."""
         return self.matrices[key].value(p.T, np.repeat(theta[None], len(p), 0).T)
 
     @cached_property
-    def _at_rest(self) -> list[tuple[MatrixFunction, MatrixFunction]]:
-        theta = self.symbols[2]
-        return [tuple(MatrixFunction(self.symbols, e) for e in (at, jacobian(at, theta))) for at in self._rest]  # type: ignore[misc]
+    def _together(self) -> _Together:
+        return _Together({**self.matrices, "L": self.laws.L})
+
+    def steady(self, p: np.ndarray, theta: np.ndarray) -> dict[str, Pair]:
+        """Return ``matrices`` and L of ``laws`` with their derivatives, see `_Matrix`."""
+        return self._together(p, theta)
+
+    @cached_property
+    def laws(self) -> Laws:
+        """The laws of [f; g] at rest."""
+        return self._known_laws or Laws.of(ca.vertcat(*self._rest), self.symbols)
 
     def moved_at_rest(self) -> np.ndarray:
         """Return which of [f; g] at rest each parameter may move, (r + c, m)."""
@@ -246,37 +321,55 @@ class PortEquations:
 
     def at_rest(self, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Return [f; g] at rest at times (R, N), for p (R, n_p), theta (R, m): (R, N, r + c)."""
-        return self._columns([value for value, _ in self._at_rest], p, theta, times)[..., 0]
+        return _along(self._at_rest, p, theta, times)[..., 0]
+
+    @cached_property
+    def _at_rest(self) -> MatrixFunction:
+        return MatrixFunction(self.symbols, ca.vertcat(*self._rest))
 
     def sampled(self, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `at_rest` and its derivatives (R, N, r + c, m)."""
-        derivatives = self._columns([derivative for _, derivative in self._at_rest], p, theta, times)
-        return self.at_rest(p, theta, times), derivatives
+        return column_of(self.laws.L(p, theta), *self.laws.at(p, theta, times))
 
-    @staticmethod
-    def _columns(
-        functions: Sequence[MatrixFunction], p: np.ndarray, theta: np.ndarray, times: np.ndarray
-    ) -> np.ndarray:
-        R, n = times.shape
-        points = times.reshape(1, -1), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
-        return np.concatenate([function(*points).reshape(R, n, *function.shape) for function in functions], axis=2)
-
-    def forcing(self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
+    def forcing(
+        self, p: np.ndarray, theta: np.ndarray, speeds: np.ndarray, K: int, L: Pair | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return Fourier coefficients of [f; g] at rest and their derivatives, orders 0..K.
 
-        p (R, n_p), theta (R, m), speeds (R,) [rad/s] -> (R, K+1, r + c) and (R, K+1, r + c, m), complex.
+        p (R, n_p), theta (R, m), speeds (R,) [rad/s] -> (R, K+1, r + c) and (R, K+1, r + c, m), complex. L: that of
+        the laws, where it is known.
         """
+        L = L or self.laws.L(p, theta)
         n = max(self.samples, 1 << (2 * K + 2).bit_length())
         while True:
-            values, derivatives = self.sampled(p, theta, instants(speeds, n))
-            coefficients = np.fft.rfft(values, axis=1) / n
-            size = np.abs(coefficients)
+            w, w_theta = self.laws.at(p, theta, instants(speeds, n))
+            waves = np.fft.rfft(w, axis=1) / n
+            size = np.abs(waves @ L[0].swapaxes(1, 2))
             tail = size[:, -n // 8 :].max(initial=0.0)
             if n >= MOST_PERIOD_SAMPLES or tail <= RESOLVED * size.max(initial=0.0):
                 break
             n *= 2
         self.samples = n
-        return coefficients[:, : K + 1], np.fft.rfft(derivatives, axis=1)[:, : K + 1] / n
+        return column_of(L, waves[:, : K + 1], np.fft.rfft(w_theta, axis=1)[:, : K + 1] / n)
+
+
+def column_of(L: Pair, w: np.ndarray, w_theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return L w (R, N, rows) and its derivatives (R, N, rows, m), for w (R, N, q) and derivatives (R, N, q, m)."""
+    return w @ L[0].swapaxes(1, 2), by_parameters(L[1], w) + L[0][:, None] @ w_theta
+
+
+def _along(function: MatrixFunction, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return a matrix that is a function of (t, p, theta) at times (R, N), (R, N, rows, columns)."""
+    R, n = times.shape
+    points = times.reshape(1, -1), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
+    return function(*points).reshape(R, n, *function.shape)
+
+
+def by_parameters(derivatives: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return sum over j of derivatives (R, i, j, m) values (R, k, j), as (R, k, i, m)."""
+    R, rows, columns, m = derivatives.shape
+    flat = derivatives.transpose(0, 1, 3, 2).reshape(R, rows * m, columns)
+    return np.asarray((values @ flat.transpose(0, 2, 1)).reshape(R, values.shape[1], rows, m))
 
 
 def _known_values(p: np.ndarray | None, varying: set[int]) -> Mapping[int, float]:

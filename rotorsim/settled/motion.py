@@ -13,7 +13,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.settled.equations import Equations, PortEquations, instants
+from rotorsim.settled.equations import Equations, Pair, PortEquations, by_parameters, column_of, instants
 from rotorsim.settled.ports import Ports, open_ports
 from rotorsim.settled.resolvent import Resolvent, resolvent_of
 from rotorsim.settled.slow_states import slow_states
@@ -162,19 +162,12 @@ class Response:
     def sensitivity(self, X: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarray:
         """Return dY (R, K+1, c, m) by the free parameters at states X and inputs, which stay as they are."""
         n = self.A.shape[1]
-        right = self.dF[:, :, :n] + _by_parameters(self.derivatives["A"], X)
-        direct = self.dF[:, :, n:] + _by_parameters(self.derivatives["C"], X)
+        right = self.dF[:, :, :n] + by_parameters(self.derivatives["A"], X)
+        direct = self.dF[:, :, n:] + by_parameters(self.derivatives["C"], X)
         if inputs is not None and inputs.shape[2]:
-            right = right + _by_parameters(self.derivatives["B"], inputs)
-            direct = direct + _by_parameters(self.derivatives["D"], inputs)
+            right = right + by_parameters(self.derivatives["B"], inputs)
+            direct = direct + by_parameters(self.derivatives["D"], inputs)
         return np.asarray(self.C[:, None] @ (self.resolvent.gain @ right) + direct)
-
-
-def _by_parameters(derivatives: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return sum over j of derivatives (R, i, j, m) values (R, k, j), as (R, k, i, m)."""
-    R, rows, columns, m = derivatives.shape
-    flat = derivatives.transpose(0, 1, 3, 2).reshape(R, rows * m, columns)
-    return np.asarray((values @ flat.transpose(0, 2, 1)).reshape(R, values.shape[1], rows, m))
 
 
 @dataclass(eq=False)
@@ -269,12 +262,12 @@ class LinearMotion(SettledMotion):
         within: np.ndarray | float = 0.0,
     ) -> Response:
         """Return the equations of some rows and states; many: theta of each run (R, m)."""
-        values, derivatives = {}, {}
-        for key, matrix in part.matrices.items():
-            values[key], derivatives[key] = matrix(self.p, many)
+        found = part.steady(self.p, many)
+        L = found.pop("L")
+        values, derivatives = ({key: pair[k] for key, pair in found.items()} for k in (0, 1))
         values["A"] = values["A"] - within
         if forced:
-            F, dF = self._forcing(part, many, K)
+            F, dF = self._forcing(part, many, K, L)
         else:
             F = np.zeros((*self.grid(K).shape, part.r + part.c), complex)
             dF = np.zeros((*F.shape, many.shape[1]), complex)
@@ -307,17 +300,19 @@ class LinearMotion(SettledMotion):
             return np.asarray(s)
         return np.concatenate([s, 1j * self.beside.frequencies], axis=1)
 
-    def _forcing(self, part: PortEquations, many: np.ndarray, K: int) -> tuple[np.ndarray, np.ndarray]:
+    def _forcing(self, part: PortEquations, many: np.ndarray, K: int, L: Pair) -> tuple[np.ndarray, np.ndarray]:
         """Return the forcing of equations and its derivatives, from shaft angle zero."""
         beside = self.beside if K == self.K else None
         if beside is not None and beside.forced:
-            values, derivatives = part.sampled(self.p, many, beside.times)
-            F = beside.projection @ values
-            dF = (beside.projection @ derivatives.reshape(*values.shape[:2], -1)).reshape(*F.shape, -1)
+            w, w_theta = part.laws.at(self.p, many, beside.times)
+            waves = beside.projection @ w
+            moved = (beside.projection @ w_theta.reshape(*w.shape[:2], -1)).reshape(*waves.shape, -1)
+            F, dF = column_of(L, waves, moved)
         else:
-            F, dF = part.forcing(self.p, many, self.speeds, K)
-            more = ((0, 0), (0, 0 if beside is None else beside.orders.shape[0]), (0, 0))
-            F, dF = np.pad(F, more), np.pad(dF, (*more, (0, 0)))
+            F, dF = part.forcing(self.p, many, self.speeds, K, L)
+            if beside is not None:
+                more = ((0, 0), (0, len(beside.orders)), (0, 0))
+                F, dF = np.pad(F, more), np.pad(dF, (*more, (0, 0)))
         if self.phase.any():  # harmonics count from shaft angle zero, which the clock need not pass at t = 0
             turned = np.sign(self.speeds)[:, None] * np.arange(K + 1)
             if beside is not None:

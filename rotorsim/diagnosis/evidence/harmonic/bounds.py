@@ -34,6 +34,7 @@ class LowerBounds:
         self.found = likelihood.evaluate(theta)
         self.predicted = likelihood.experiment.motion.predict(theta)
         self.transfer = self.predicted.by_inputs()
+        self.others = likelihood.nuisances(self.predicted, self.found.Y)
         self.places = {name: k for k, name in enumerate(targets)}
         self._known: dict[tuple[str, ...], float] = {}
 
@@ -92,8 +93,7 @@ class LowerBounds:
                     for phase in (1.0, 1j) if k else (1.0,):
                         columns[row, k] = effects[k, :, v] * phase
                         row += 1
-            others = likelihood.nuisances(self.predicted, r, self.found.Y[r])
-            whitened = np.hstack([others, white.apply(real_vector(columns).T)])
+            whitened = np.hstack([self.others[r], white.apply(real_vector(columns).T)])
             length = np.linalg.norm(whitened, axis=0)
             q, _ = np.linalg.qr(whitened[:, length > 0] / length[length > 0])
             rests.append(e - q @ (q.T @ e))
