@@ -244,7 +244,31 @@ class Laws:
 
     def at(self, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return w (R, N, q) and its derivatives (R, N, q, m) at times (R, N), for p (R, n_p), theta (R, m)."""
-        return _along(self.w, p, theta, times)[..., 0], _along(self.w_theta, p, theta, times)
+        points, shape = _points(p, theta, times), times.shape
+        w, w_theta = (function(*points) for function in (self.w, self.w_theta))
+        return w.reshape(*shape, -1), w_theta.reshape(*shape, -1, theta.shape[1])
+
+
+class Split:
+    """f as a + A x + B w(t, x): laws w (q,), the first of them one; A and [a, B] follow p and theta alone.
+
+    moving: which laws follow the states.
+    """
+
+    def __init__(self, symbols: tuple[Any, Any, Any], x: Any, f: Any) -> None:
+        t, p, theta = symbols
+        found = semi_linear(f, x, t, ca.SX(0, 1))
+        nothing = [ca.SX.zeros(*part.shape) for part in (x, found.w)]
+        constant = ca.substitute([found.of], [x, found.w], nothing)[0]
+        laws = ca.vertcat(1, found.phi)
+        self.moving = np.array([k for k in range(laws.numel()) if ca.depends_on(laws[k], x)], int)
+        A = _Matrix.of(jacobian(found.of, x), p, theta)
+        B = _Matrix.of(ca.horzcat(constant, jacobian(found.of, found.w)), p, theta)
+        self.steady = _Together({"A": A, "B": B})
+        points, moving = [t, x, p, theta], laws[self.moving.tolist()]
+        self.w, self.w_theta = MatrixFunction(points, laws), MatrixFunction(points, lambda: jacobian(laws, theta))
+        self.w_moving = MatrixFunction(points, moving)
+        self.w_x = MatrixFunction(points, lambda: jacobian(moving, x))
 
 
 class PortEquations:
@@ -298,6 +322,11 @@ class PortEquations:
         return self.matrices[key].value(p.T, np.repeat(theta[None], len(p), 0).T)
 
     @cached_property
+    def split(self) -> Split:
+        """f by its laws."""
+        return Split(self.symbols, self.x, self.rates)
+
+    @cached_property
     def _together(self) -> _Together:
         return _Together({**self.matrices, "L": self.laws.L})
 
@@ -321,7 +350,7 @@ class PortEquations:
 
     def at_rest(self, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Return [f; g] at rest at times (R, N), for p (R, n_p), theta (R, m): (R, N, r + c)."""
-        return _along(self._at_rest, p, theta, times)[..., 0]
+        return self._at_rest(*_points(p, theta, times)).reshape(*times.shape, -1)
 
     @cached_property
     def _at_rest(self) -> MatrixFunction:
@@ -358,11 +387,10 @@ def column_of(L: Pair, w: np.ndarray, w_theta: np.ndarray) -> tuple[np.ndarray, 
     return w @ L[0].swapaxes(1, 2), by_parameters(L[1], w) + L[0][:, None] @ w_theta
 
 
-def _along(function: MatrixFunction, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Return a matrix that is a function of (t, p, theta) at times (R, N), (R, N, rows, columns)."""
-    R, n = times.shape
-    points = times.reshape(1, -1), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
-    return function(*points).reshape(R, n, *function.shape)
+def _points(p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return (times, p, theta) as columns for times (R, N), one run after the other."""
+    n = times.shape[1]
+    return times.reshape(1, -1), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
 
 
 def by_parameters(derivatives: np.ndarray, values: np.ndarray) -> np.ndarray:

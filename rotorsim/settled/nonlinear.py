@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorsim.settled.balance import Balance, harmonics_of, samples_of
-from rotorsim.settled.equations import PortEquations
+from rotorsim.settled.equations import Pair, PortEquations, by_parameters, column_of
 from rotorsim.settled.floquet import growth_rate
 from rotorsim.settled.motion import FreshMeans, Prediction, SettledMotion
 from rotorsim.settled.ports import Ports, open_ports
@@ -39,6 +39,7 @@ class NonlinearMotion(SettledMotion):
         step = 2 * np.pi / np.abs(self.speeds) / self.count
         self.start = -np.sign(self.speeds) * self.phase / np.abs(self.speeds)
         self.times = self.start[:, None] + step[:, None] * np.arange(self.count)
+        self._p = np.repeat(self.p, self.count, 0).T
         self.ports: Ports | None = None
 
     def sharpen(self) -> bool:
@@ -62,7 +63,8 @@ class NonlinearMotion(SettledMotion):
     ) -> Prediction:
         """Return the motion at theta (m,); there are no measured inputs."""
         ports = self.opened(theta)
-        balance, response = self._balance(ports, theta, means or ())
+        laws = self.inner.split.steady(self.p, np.repeat(theta[None], len(self.p), 0))
+        balance, response = self._balance(ports, theta, means or (), laws)
         X, settled = balance.base, np.ones(len(self.p), bool)
         if len(balance.S):
             start = X[:, :, balance.S] if self.last is None else balance.nearer(self.last)
@@ -74,7 +76,7 @@ class NonlinearMotion(SettledMotion):
             self.last = C
         elif self.last is not None:
             self.last = np.where(settled[:, None, None], C, self.last)
-        return self._linearised(balance, response, X, settled, theta)
+        return self._linearised(balance, response, X, settled, theta, laws)
 
     def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
         """Return the means of slow states that start with the run.
@@ -144,23 +146,32 @@ class NonlinearMotion(SettledMotion):
 
     def _points(self, x: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return the arguments of the equations at the samples of motion x (R, count, n)."""
-        p = np.repeat(self.p, self.count, 0).T
-        return self.times.reshape(1, -1), x.reshape(-1, x.shape[2]).T, p, theta
+        return self.times.reshape(1, -1), x.reshape(-1, x.shape[2]).T, self._p, theta
 
-    def _balance(self, ports: Ports, theta: np.ndarray, means: Sequence[np.ndarray]) -> tuple[Balance, Resolvent]:
+    def _balance(
+        self, ports: Ports, theta: np.ndarray, means: Sequence[np.ndarray], laws: dict[str, Pair]
+    ) -> tuple[Balance, Resolvent]:
         """Return the equations at theta, to be balanced about the mean Jacobian of the last motion."""
         inner, R, count = self.inner, len(self.p), self.count
         E, S = inner.places
+        split = inner.split
+        all_A, all_B = (laws[key][0] for key in "AB")
+        A_part, B_part = all_A[:, E[:, None], S], all_B[:, E[:, None], split.moving]
 
         def whole(x_S: np.ndarray) -> tuple[np.ndarray, ...]:
             x = np.zeros((R, count, inner.n))
             x[:, :, S] = x_S
             return self._points(x, theta)
 
-        def jacobian(x_S: np.ndarray) -> np.ndarray:
-            return inner.J_part(*whole(x_S)).reshape(R, count, len(E), len(S))
+        def moving(x_S: np.ndarray) -> np.ndarray:
+            return split.w_moving(*whole(x_S)).reshape(R, count, -1)
 
-        at_rest = inner.f(*whole(np.zeros((R, count, len(S))))).reshape(R, count, inner.r)
+        def jacobian(x_S: np.ndarray) -> np.ndarray:
+            slopes = split.w_x(*whole(x_S))[:, :, S].reshape(R, count, -1, len(S))
+            return np.asarray(A_part[:, None] + B_part[:, None] @ slopes)
+
+        w = split.w(*whole(np.zeros((R, count, len(S))))).reshape(R, count, -1)
+        at_rest, still = w @ all_B.swapaxes(1, 2), w[:, :, split.moving]
         A = inner.J(self.times[:, 0][None], np.zeros((inner.n, R)), self.p.T, theta)
         if len(S):
             near = np.zeros((R, self.H + 1, len(S)), complex) if self.last is None else np.nan_to_num(self.last)
@@ -171,18 +182,25 @@ class NonlinearMotion(SettledMotion):
             base[r, 0] += response.slow[r] @ values
 
         def rows(x_S: np.ndarray) -> np.ndarray:
-            return inner.f_rows(*whole(x_S)).reshape(R, count, len(E))
+            return np.asarray(x_S @ A_part.swapaxes(1, 2) + (moving(x_S) - still) @ B_part.swapaxes(1, 2))
 
-        part = A[:, E[:, None], S]
-        return Balance(rows, jacobian, at_rest[:, :, E], part, response.gain[:, :, :, E], base, S), response
+        part, none = A[:, E[:, None], S], np.zeros((R, count, len(E)))
+        return Balance(rows, jacobian, none, part, response.gain[:, :, :, E], base, S), response
 
     def _linearised(
-        self, balance: Balance, response: Resolvent, X: np.ndarray, settled: np.ndarray, theta: np.ndarray
+        self,
+        balance: Balance,
+        response: Resolvent,
+        X: np.ndarray,
+        settled: np.ndarray,
+        theta: np.ndarray,
+        laws: dict[str, Pair],
     ) -> Prediction:
         """Return outputs and their derivatives about the motion X (R, H+1, n)."""
         inner, R, K, count = self.inner, len(self.p), self.K, self.count
         safe = np.where(np.isfinite(X), X, 0.0)
-        points = self._points(samples_of(safe, count), theta)
+        x = samples_of(safe, count)
+        points = self._points(x, theta)
         C = inner.C(*points).reshape(R, count, inner.c, inner.n)
         tangent = balance.tangent(safe[:, :, balance.S]) if len(balance.S) else None
 
@@ -194,7 +212,10 @@ class NonlinearMotion(SettledMotion):
             return harmonics_of(C @ in_time + direct, K)
 
         def sensitivity() -> np.ndarray:
-            by_theta = harmonics_of(inner.f_theta(*points).reshape(R, count, inner.r, -1), self.H)
+            w = inner.split.w(*points).reshape(R, count, -1)
+            w_theta = inner.split.w_theta(*points).reshape(*w.shape, -1)
+            moved = by_parameters(laws["A"][1], x) + column_of(laws["B"], w, w_theta)[1]
+            by_theta = harmonics_of(moved, self.H)
             return outputs(response.gain @ by_theta, inner.g_theta(*points).reshape(R, count, inner.c, -1))
 
         Y = harmonics_of(inner.g(*points).reshape(R, count, -1), K)
