@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -13,13 +12,13 @@ import numpy as np
 from rotorsim.diagram.diagram import Free
 from rotorsim.linear.state_space import reached
 from rotorsim.model.compiled import Model
-from rotorsim.model.linearity import is_affine, jacobian, pattern, semi_linear
+from rotorsim.model.linearity import is_affine, jacobian, pattern
 from rotorsim.model.matrix_function import MatrixFunction
+from rotorsim.settled.laws import Laws, Matrix, Pair, Split, Together, column_of, points_of
 from rotorsim.settled.slow_states import means_of
 
 FIRST_SAMPLES = 32
 MOST_PERIOD_SAMPLES = 4096
-Pair = tuple[np.ndarray, np.ndarray]  # values (R, rows, columns) and their derivatives (R, rows, columns, m)
 RESOLVED = 1e-11  # size of the last Fourier coefficients, relative to the largest, at which a series has ended
 
 
@@ -169,108 +168,6 @@ class Equations:
         return PortEquations(part.symbols, x, f, g, part.df_dv[r, :], part.dg_dv, slopes, at_rest)
 
 
-@dataclass(frozen=True, eq=False)
-class _Matrix:
-    """A matrix of the equations and its derivatives by the free parameters, both only where they are not zero."""
-
-    value: MatrixFunction
-    derivative: MatrixFunction  # (nonzeros, m)
-
-    @classmethod
-    def of(cls, matrix: Any, p: Any, theta: Any) -> _Matrix:
-        """Return a matrix as a function of p and theta."""
-        sparse = ca.sparsify(matrix)
-        nonzeros = sparse.nz[:] if sparse.nnz() else ca.SX(0, 1)
-        return cls(MatrixFunction([p, theta], sparse), MatrixFunction([p, theta], lambda: jacobian(nonzeros, theta)))
-
-    def __call__(self, p: np.ndarray, theta: np.ndarray) -> Pair:
-        """Return values (R, rows, columns) and derivatives (R, rows, columns, m), for p (R, n_p), theta (R, m)."""
-        values = self.value(p.T, theta.T)
-        out = np.zeros((*values.shape, theta.shape[1]))
-        if len(self.value.rows):
-            out[:, self.value.rows, self.value.columns] = self.derivative(p.T, theta.T)
-        return values, out
-
-
-class _Together:
-    """Several matrices, evaluated in one call: they have most of their terms in common."""
-
-    def __init__(self, matrices: Mapping[str, _Matrix]) -> None:
-        self.matrices = matrices
-        parts = [part for matrix in matrices.values() for part in (matrix.value, matrix.derivative)]
-        arguments = parts[0].arguments
-        self.column = MatrixFunction(arguments, ca.vertcat(*[part.nonzeros for part in parts]))
-        self.ends = np.cumsum([len(part.rows) for part in parts])
-
-    def __call__(self, p: np.ndarray, theta: np.ndarray) -> dict[str, Pair]:
-        """Return values and derivatives of each, see `_Matrix`."""
-        found = np.split(self.column(p.T, theta.T)[:, :, 0], self.ends[:-1], axis=1)
-        every = {}
-        for (key, matrix), own, slopes in zip(self.matrices.items(), found[::2], found[1::2], strict=True):
-            rows, columns, entries = matrix.value.rows, matrix.value.columns, matrix.derivative.rows
-            value = np.zeros((len(own), *matrix.value.shape))
-            value[:, rows, columns] = own
-            derivative = np.zeros((*value.shape, theta.shape[1]))
-            derivative[:, rows[entries], columns[entries], matrix.derivative.columns] = slopes
-            every[key] = value, derivative
-        return every
-
-
-class Laws:
-    """A column of expressions as L w(t): laws of time w (q,), the first of them one; L (rows, q) follows p and theta.
-
-    One force moves many rows of a coupled mass matrix; it is followed in time once.
-    """
-
-    def __init__(self, symbols: tuple[Any, Any, Any], L: Any, w: Any) -> None:
-        t, p, theta = self.symbols = symbols
-        self._L, self._w = ca.sparsify(L), w
-        self.L = _Matrix.of(self._L, p, theta)
-        self.w = MatrixFunction([t, p, theta], w)
-        self.w_theta = MatrixFunction([t, p, theta], lambda: jacobian(w, theta))
-
-    @classmethod
-    def of(cls, column: Any, symbols: tuple[Any, Any, Any]) -> Laws:
-        """Return the laws of a column of expressions of (t, p, theta)."""
-        nothing = ca.SX(0, 1)
-        found = semi_linear(column, nothing, symbols[0], nothing)
-        constant = ca.substitute(found.of, found.w, ca.SX.zeros(*found.w.shape))
-        L = ca.horzcat(constant, jacobian(found.of, found.w))
-        return cls(symbols, L, ca.vertcat(1, found.phi))
-
-    def of_rows(self, rows: Sequence[int]) -> Laws:
-        """Return the laws of some rows."""
-        return Laws(self.symbols, self._L[list(rows), :], self._w)
-
-    def at(self, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return w (R, N, q) and its derivatives (R, N, q, m) at times (R, N), for p (R, n_p), theta (R, m)."""
-        points, shape = _points(p, theta, times), times.shape
-        w, w_theta = (function(*points) for function in (self.w, self.w_theta))
-        return w.reshape(*shape, -1), w_theta.reshape(*shape, -1, theta.shape[1])
-
-
-class Split:
-    """f as a + A x + B w(t, x): laws w (q,), the first of them one; A and [a, B] follow p and theta alone.
-
-    moving: which laws follow the states.
-    """
-
-    def __init__(self, symbols: tuple[Any, Any, Any], x: Any, f: Any) -> None:
-        t, p, theta = symbols
-        found = semi_linear(f, x, t, ca.SX(0, 1))
-        nothing = [ca.SX.zeros(*part.shape) for part in (x, found.w)]
-        constant = ca.substitute([found.of], [x, found.w], nothing)[0]
-        laws = ca.vertcat(1, found.phi)
-        self.moving = np.array([k for k in range(laws.numel()) if ca.depends_on(laws[k], x)], int)
-        A = _Matrix.of(jacobian(found.of, x), p, theta)
-        B = _Matrix.of(ca.horzcat(constant, jacobian(found.of, found.w)), p, theta)
-        self.steady = _Together({"A": A, "B": B})
-        points, moving = [t, x, p, theta], laws[self.moving.tolist()]
-        self.w, self.w_theta = MatrixFunction(points, laws), MatrixFunction(points, lambda: jacobian(laws, theta))
-        self.w_moving = MatrixFunction(points, moving)
-        self.w_x = MatrixFunction(points, lambda: jacobian(moving, x))
-
-
 class PortEquations:
     """Rows of f (r,) and outputs g (c,) as functions of states x (n,), with their derivatives.
 
@@ -312,10 +209,10 @@ class PortEquations:
         return _varying(self.df_dx, ca.vertcat(self.x, self.symbols[0]))
 
     @cached_property
-    def matrices(self) -> dict[str, _Matrix]:
+    def matrices(self) -> dict[str, Matrix]:
         """A, B, C, D of linear equations."""
         slopes = zip("ABCD", (self.df_dx, self.df_dv, self.dg_dx, self.dg_dv), strict=True)
-        return {key: _Matrix.of(matrix, *self.symbols[1:]) for key, matrix in slopes}
+        return {key: Matrix.of(matrix, *self.symbols[1:]) for key, matrix in slopes}
 
     def values(self, key: str, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """Return a matrix of linear equations, (R, rows, columns), for p (R, n_p) and one theta (m,)."""
@@ -327,11 +224,11 @@ class PortEquations:
         return Split(self.symbols, self.x, self.rates)
 
     @cached_property
-    def _together(self) -> _Together:
-        return _Together({**self.matrices, "L": self.laws.L})
+    def _together(self) -> Together:
+        return Together({**self.matrices, "L": self.laws.L})
 
     def steady(self, p: np.ndarray, theta: np.ndarray) -> dict[str, Pair]:
-        """Return ``matrices`` and L of ``laws`` with their derivatives, see `_Matrix`."""
+        """Return ``matrices`` and L of ``laws`` with their derivatives, see `Matrix`."""
         return self._together(p, theta)
 
     @cached_property
@@ -350,7 +247,7 @@ class PortEquations:
 
     def at_rest(self, p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Return [f; g] at rest at times (R, N), for p (R, n_p), theta (R, m): (R, N, r + c)."""
-        return self._at_rest(*_points(p, theta, times)).reshape(*times.shape, -1)
+        return self._at_rest(*points_of(p, theta, times)).reshape(*times.shape, -1)
 
     @cached_property
     def _at_rest(self) -> MatrixFunction:
@@ -380,24 +277,6 @@ class PortEquations:
             n *= 2
         self.samples = n
         return column_of(L, waves[:, : K + 1], np.fft.rfft(w_theta, axis=1)[:, : K + 1] / n)
-
-
-def column_of(L: Pair, w: np.ndarray, w_theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return L w (R, N, rows) and its derivatives (R, N, rows, m), for w (R, N, q) and derivatives (R, N, q, m)."""
-    return w @ L[0].swapaxes(1, 2), by_parameters(L[1], w) + L[0][:, None] @ w_theta
-
-
-def _points(p: np.ndarray, theta: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return (times, p, theta) as columns for times (R, N), one run after the other."""
-    n = times.shape[1]
-    return times.reshape(1, -1), np.repeat(p, n, 0).T, np.repeat(theta, n, 0).T
-
-
-def by_parameters(derivatives: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return sum over j of derivatives (R, i, j, m) values (R, k, j), as (R, k, i, m)."""
-    R, rows, columns, m = derivatives.shape
-    flat = derivatives.transpose(0, 1, 3, 2).reshape(R, rows * m, columns)
-    return np.asarray((values @ flat.transpose(0, 2, 1)).reshape(R, values.shape[1], rows, m))
 
 
 def _known_values(p: np.ndarray | None, varying: set[int]) -> Mapping[int, float]:

@@ -13,7 +13,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.settled.equations import Equations, Pair, PortEquations, by_parameters, column_of, instants
+from rotorsim.settled.equations import Equations, PortEquations, instants
+from rotorsim.settled.laws import Pair, by_parameters, column_of
 from rotorsim.settled.ports import Ports, open_ports
 from rotorsim.settled.resolvent import Resolvent, resolvent_of
 from rotorsim.settled.slow_states import slow_states

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorsim.settled.balance import Balance, harmonics_of, samples_of
-from rotorsim.settled.equations import Pair, PortEquations, by_parameters, column_of
+from rotorsim.settled.equations import PortEquations
 from rotorsim.settled.floquet import growth_rate
+from rotorsim.settled.laws import Pair, by_parameters, column_of
 from rotorsim.settled.motion import FreshMeans, Prediction, SettledMotion
 from rotorsim.settled.ports import Ports, open_ports
 from rotorsim.settled.resolvent import Resolvent
