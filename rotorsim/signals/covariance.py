@@ -17,7 +17,7 @@ def real_columns(values: np.ndarray) -> np.ndarray:
     out[..., 0, :, :] = values[..., 0, :, :].real
     out[..., 1::2, :, :] = values[..., 1:, :, :].real
     out[..., 2::2, :, :] = values[..., 1:, :, :].imag
-    return out.reshape(*lead, -1, count)
+    return out.reshape(*lead, (2 * orders - 1) * channels, count)
 
 
 def complex_values(vector: np.ndarray, channels: int) -> np.ndarray:
