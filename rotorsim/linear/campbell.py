@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -122,6 +122,7 @@ def campbell(
     speeds: Sequence[float | str] | np.ndarray,
     parameters: Mapping[str, Any] | None = None,
     orders: Sequence[int] = (1, 2),
+    progress: Callable[[float], None] | None = None,
 ) -> Campbell:
     """Return the modes at many speeds [rad/s], each followed through crossings, and the critical speeds.
 
@@ -129,7 +130,8 @@ def campbell(
     modal assurance criterion that no scaling of the states changes) is near 1 and the frequencies are near;
     the assignment is optimal (Hungarian method). Crossings with order times speed are refined by root finding.
 
-    Raises RotorsimError as `modes`, and without a diagram parameter ``speed``.
+    progress: is told the share of the speeds that is done. Raises RotorsimError as `modes`, and without a diagram
+    parameter ``speed``.
     Source: Allemang, Sound and Vibration 37 (2003) 14-23 (MAC).
     """
     model = as_model(diagram)
@@ -142,7 +144,11 @@ def campbell(
         system = linear_system(model, (), names, given, told=False)[0]
         return _Point(eigen(system), system, names)
 
-    points = [point(float(speed)) for speed in values]
+    points = []
+    for speed in values:
+        points.append(point(float(speed)))
+        if progress is not None:
+            progress(len(points) / len(values))
     columns = _follow(points)
     n_modes = columns.shape[1]
     frequency = np.full((len(values), n_modes), np.nan)

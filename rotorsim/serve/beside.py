@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -135,7 +135,9 @@ class BesideSettled:
         return periodic_figure(self.settled, names or None, measured=self.measured)
 
 
-def beside_settled(model: Model, speeds: np.ndarray, parameters: Data, recording: Recording) -> BesideSettled:
+def beside_settled(
+    model: Model, speeds: np.ndarray, parameters: Data, recording: Recording, progress: Callable[[float], None]
+) -> BesideSettled:
     """Return the settled motion of a diagram beside what the runs of a recording have measured.
 
     speeds (n,) [rad/s]: reach further where the runs do, and hold their speeds too.
@@ -146,7 +148,7 @@ def beside_settled(model: Model, speeds: np.ndarray, parameters: Data, recording
     known = np.concatenate([one.speeds for one in measured.values()])
     top = max(float(speeds[-1]), PAST_RUNS * float(known.max()))
     all_speeds = np.unique(np.concatenate([np.linspace(speeds[0], top, len(speeds)), known]))
-    settled = periodic(model, speeds=all_speeds, parameters=parameters)
+    settled = periodic(model, speeds=all_speeds, parameters=parameters, progress=progress)
     return BesideSettled(settled, measured)
 
 

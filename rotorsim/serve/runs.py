@@ -112,19 +112,27 @@ class Runs:
         title = f"measured, {chosen.id} of {recording.name}"
         return self._keep("measured", result) | _result_data(result) | {"title": title, "measured": True}
 
-    def analyse(self, source: Source, what: str, settings: Mapping[str, Any], recording: Recording | None) -> Data:
+    def analyse(
+        self,
+        source: Source,
+        what: str,
+        settings: Mapping[str, Any],
+        recording: Recording | None,
+        progress: Callable[[float], None],
+    ) -> Data:
         """Return the table of an analysis, which is kept for its figure. Raises RotorsimError as it does.
 
         recording: its harmonics stand beside those of the settled motion.
         """
         model = self._model(source)
-        made = {"modes": _modes, "campbell": _campbell}
         if what not in ANALYSES:
             raise RotorsimError(Problem(f"unknown analysis '{what}'", hint=f"one of {', '.join(ANALYSES)}"))
         if what == "periodic":
-            found, data = _periodic(model, dict(settings), recording)
+            found, data = _periodic(model, dict(settings), recording, progress)
+        elif what == "campbell":
+            found, data = _campbell(model, dict(settings), progress)
         else:
-            found, data = made[what](model, dict(settings))
+            found, data = _modes(model, dict(settings))
         return self._keep(what, found) | data
 
     def figure(self, number: int, kind: str) -> bytes:
@@ -256,11 +264,11 @@ def _speeds(model: Model, count: int, lowest: float) -> np.ndarray:
     return np.linspace(lowest * own, 2.0 * own, count)
 
 
-def _campbell(model: Model, settings: Data) -> tuple[Any, Data]:
+def _campbell(model: Model, settings: Data, progress: Callable[[float], None]) -> tuple[Any, Data]:
     from rotorsim.linear.campbell import campbell
 
     rest = {name: value for name, value in settings.items() if name != "speed"}
-    found = campbell(model, speeds=_speeds(model, CAMPBELL_SPEEDS, 0.0), parameters=rest)
+    found = campbell(model, speeds=_speeds(model, CAMPBELL_SPEEDS, 0.0), parameters=rest, progress=progress)
     rows = [
         [f"{c.order}X", f"{rpm(c.speed):.6g}", f"{c.frequency_hz:.5g}", f"{c.damping_ratio:.5f}", c.whirl]
         for c in found.crossings
@@ -269,15 +277,17 @@ def _campbell(model: Model, settings: Data) -> tuple[Any, Data]:
     return found, {"title": f"Critical speeds of {model.diagram.name}", "columns": columns, "rows": rows}
 
 
-def _periodic(model: Model, settings: Data, recording: Recording | None) -> tuple[Any, Data]:
+def _periodic(
+    model: Model, settings: Data, recording: Recording | None, progress: Callable[[float], None]
+) -> tuple[Any, Data]:
     from rotorsim.report.amplitudes import of_amplitude
     from rotorsim.report.style import display
     from rotorsim.settled.periodic import periodic
 
     rest = {name: value for name, value in settings.items() if name != "speed"}
     speeds = _speeds(model, CAMPBELL_SPEEDS, 0.1)
-    beside = None if recording is None else beside_settled(model, speeds, rest, recording)
-    found = periodic(model, speeds=speeds, parameters=rest) if beside is None else beside.settled
+    beside = None if recording is None else beside_settled(model, speeds, rest, recording, progress)
+    found = periodic(model, speeds=speeds, parameters=rest, progress=progress) if beside is None else beside.settled
     measured = {} if beside is None else beside.measured
     name = next(one for one in (*measured, *found.two_axis, *found.harmonics) if one in found.harmonics)
     sizes, unit = display(np.abs(found.harmonic(name, 1)), found.units.get(name, ""))

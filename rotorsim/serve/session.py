@@ -297,7 +297,10 @@ class Session:
         recording = None if name is None else read_recording(folder, str(name))
         run = None if run is None else str(run)
         if kind == "analyse":
-            return {"kind": "table", **self.runs.analyse(source, str(message.get("what")), settings, recording)}
+            return {
+                "kind": "table",
+                **self.runs.analyse(source, str(message.get("what")), settings, recording, progress),
+            }
         if kind == "cosim":
             return {"kind": "result", **self.runs.cosimulated(source, settings, message, progress)}
         if recording is None:

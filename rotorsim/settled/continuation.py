@@ -6,7 +6,7 @@ Source: Krack & Gross, Harmonic Balance for Nonlinear Vibration Problems (2019),
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,11 +31,19 @@ UNSTABLE = "unstable: this motion is never reached"
 
 @dataclass(frozen=True)
 class Settings:
-    """harmonics: fixed number, or None for as many as ``tolerance`` asks; stability: examine it."""
+    """harmonics: fixed number, or None for as many as ``tolerance`` asks; stability: examine it.
+
+    progress: is told the share that is done, of harmonic balance.
+    """
 
     harmonics: int | None
     tolerance: float
     stability: bool
+    progress: Callable[[float], None] | None = None
+
+    def tell(self, share: float) -> None:
+        if self.progress is not None:
+            self.progress(share / (2 if self.stability else 1))
 
 
 @dataclass(eq=False)
@@ -191,6 +199,7 @@ def _balanced(setup: Setup, base: np.ndarray, p: np.ndarray, settings: Settings)
             X[j, : len(orbit.X)] = orbit.X
             if settings.stability:
                 stable[j] = largest_multiplier(equations, point.base, point.p, orbit.X) <= STABLE_MULTIPLIER
+                settings.tell(1.0 + (j + 1) / len(every))
     pairs = zip(stable, every, strict=True)
     H = _needed_harmonics(X, settings.tolerance) if settings.harmonics is None else count - 1
     finer = None
@@ -226,6 +235,7 @@ def _sweep(points: list[_Point], order: list[int], orbit_of: dict[int, _Orbit], 
         if before is None or (before.failure and near):
             orbit_of[j] = _reach(points[j], guess, settings, near)
             orbit_of[j].steps += before.steps if before else 0
+        settings.tell(len(orbit_of) / len(points))
         near = not orbit_of[j].failure
         if near:
             guess = points[j], orbit_of[j]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from importlib import import_module
 from typing import Any
@@ -55,6 +55,7 @@ def periodic(
     subharmonic: int = 1,
     stability: bool = True,
     tolerance: float = 1e-8,
+    progress: Callable[[float], None] | None = None,
 ) -> Periodic:
     """Return the settled periodic motion at one or many speeds [rad/s] (the diagram parameter ``speed``).
 
@@ -64,6 +65,7 @@ def periodic(
     harmonics: number H of orders kept; default as many as the motion has. signals: what is returned; default
     what the diagram records. subharmonic: the period in turns. stability: examine whether the motion is stable
     (eigenvalues of A, or Floquet multipliers). tolerance: relative size of the harmonics left out.
+    progress: is told the share that is done, of harmonic balance, which goes speed by speed.
 
     Where a part hides its equations the diagram is co-simulated, and the motion extrapolated to where it settles.
 
@@ -99,7 +101,7 @@ def periodic(
     base = values / subharmonic
     names = _returning(setup, signals, float(base[0]), p[0])
     outputs = setup.outputs.get(names) or setup.outputs.setdefault(names, _Outputs(model, names))
-    motion = orbits(setup, base, p, Settings(harmonics, tolerance, stability))
+    motion = orbits(setup, base, p, Settings(harmonics, tolerance, stability, progress))
     _refuse_beyond_limits(setup, base, p, motion)
     channels = outputs.along(motion.X, setup, base, p, motion.drifting)
     error = np.zeros(len(values))

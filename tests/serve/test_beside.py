@@ -102,7 +102,7 @@ def test_a_co_simulation_is_told_with_what_the_coupling_does(at: Served, mine: P
             ({"step": "-1 ms"}, "must be positive"),
             ({"step": "1 furlong"}, "unknown unit 'furlong'"),
             ({"step": "1 ms", "parts": "controller"}, "parts are lists of blocks"),
-            ({"step": "1 ms", "parts": [["controler"]]}, "no block 'controler'"),
+            ({"step": "1 ms", "parts": [["controler"]]}, "no such block"),
         ):
             refused = await page.ask(kind="cosim", **asked)
             assert refused["problems"][0]["what"] == what, asked

@@ -134,6 +134,27 @@ def test_a_run_is_that_of_the_library(at: Served, mine: Path) -> None:
     talk(talking)
 
 
+def test_an_analysis_tells_what_is_done_and_is_stopped(at: Served) -> None:
+    async def talking() -> None:
+        page = await opened(at)
+        await page.connection.write_message(json.dumps({"id": 70, "kind": "analyse", "what": "campbell"}))
+        shares = []
+        while (told := await page.next())["kind"] == "progress":
+            shares.append(told["share"])
+        assert told["kind"] == "table"
+        assert len(shares) > 10
+        assert shares == sorted(shares)
+        assert shares[-1] == pytest.approx(1.0, abs=0.03)
+        await page.connection.write_message(json.dumps({"id": 71, "kind": "analyse", "what": "campbell"}))
+        assert (await page.next())["kind"] == "progress"
+        await page.connection.write_message(json.dumps({"id": 71, "kind": "cancel"}))
+        while (told := await page.next())["kind"] == "progress":
+            pass
+        assert (told["kind"], told["id"], told["problems"][0]["what"]) == ("refused", 71, "stopped")
+
+    talk(talking)
+
+
 def test_a_run_is_stopped(at: Served, mine: Path) -> None:
     mine.write_text(mine.read_text().replace('"stop": "5 s"', '"stop": "100000 s", "record_every": 100000'))
 

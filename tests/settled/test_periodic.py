@@ -204,6 +204,14 @@ def test_a_sweep_with_a_motion_that_does_not_exist_keeps_the_other_speeds():
     assert np.isfinite(found.harmonics["disc.y"][[0, 2]]).all()
 
 
+def test_harmonic_balance_tells_what_is_done():
+    for stability in (True, False):
+        shares = []
+        speeds = [100.0, 130.0, 160.0]
+        periodic(jeffcott(nonlinear_amb=True), speeds=speeds, stability=stability, progress=shares.append)
+        assert shares == pytest.approx([k / 6 for k in range(1, 7)] if stability else [k / 3 for k in range(1, 4)])
+
+
 def test_duffing_oscillator_has_the_amplitude_of_its_exact_harmonic_balance():
     """x'' + d x' + x + b x^3 = F cos: the first-harmonic amplitude solves the cubic of one-term balance nearly."""
 

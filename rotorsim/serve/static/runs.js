@@ -82,7 +82,10 @@ export async function analyse(what, recording = null) {
     working.id = id;
     set({});
   };
-  const found = await live.ask({ kind: "analyse", what, recording, set: moved(), started });
+  const found = await live.ask({ kind: "analyse", what, recording, set: moved(), started }, (share) => {
+    working.share = share;
+    set({});
+  });
   set({ running: null });
   if (found.kind === "table") {
     set({ refused: [], table: found, said: found.title });
