@@ -40,7 +40,7 @@ def group(data: Mapping[str, Any], blocks: Collection[str], name: str, file: str
     for side, ends in outer.get("ports", {}).items():
         ends.update({port: border.exposed(written, side == "inputs", name) for port, written in ends.items()})
     outer["blocks"] = _with_entries(entries, own, {name: {"type": "diagram", "file": file, **_followed(own)}}, name)
-    _rename(outer, lambda block: f"{name}/{block}" if block in own else block)
+    _rename(outer, lambda block: f"{name}/{block}" if block.partition("/")[0] in own else block)
     inner: Document = {"schema_version": 1, "name": name}
     parameters = {key: outer["parameters"][key] for key in _names_followed(own) if key in outer.get("parameters", {})}
     inner |= {"parameters": parameters} if parameters else {}
@@ -99,6 +99,14 @@ def dissolve(data: Mapping[str, Any], name: str, inner: Mapping[str, Any]) -> Do
         signals = (_ends_inside(one, name, ports.get("outputs", {}), renamed) for one in outer["record"])
         outer["record"] = [signal for ends in signals for signal in ends]
 
+    free = outer.get("identify", {})
+    for key in [one for one in free if one.startswith(f"{name}/") and "." not in one]:
+        held = free.pop(key)  # a parameter of the sub-diagram: what follows it inside
+        followed = f"${key.partition('/')[2]}"
+        for one, block in inner.get("blocks", {}).items():
+            values = block.get("parameters", {})
+            free |= {f"{name}/{one}.{each}": held for each, value in values.items() if value == followed}
+
     def out(block: str) -> str:
         part, _, rest = block.partition("/")
         first, slash, more = rest.partition("/")
@@ -107,7 +115,7 @@ def dissolve(data: Mapping[str, Any], name: str, inner: Mapping[str, Any]) -> Do
     _rename(outer, out)
     at, places = outer.get("layout", {}).get(name), inner.get("layout", {})
     if at is not None:
-        moved: Document = {}
+        moved: Document = {new: [at[0], at[1] + k] for k, new in enumerate(names.values())}
         if set(places) >= set(names):
             middle = [sum(place[k] for place in places.values()) / len(places) for k in (0, 1)]
             moved = {new: [at[k] + places[one][k] - middle[k] for k in (0, 1)] for one, new in names.items()}
@@ -222,7 +230,7 @@ def _rename(document: Document, named: Callable[[str], str]) -> None:
 
     def one(text: Any) -> Any:
         block, dot, rest = text.partition(".") if isinstance(text, str) else ("", "", "")
-        return named(block) + dot + rest if dot else text
+        return named(block) + dot + rest if dot or "/" in block else text  # "drive/k": a parameter of a sub-diagram
 
     if "record" in document:
         document["record"] = [one(signal) for signal in document["record"]]

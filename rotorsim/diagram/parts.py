@@ -66,9 +66,20 @@ def inside(block: str, parts: Collection[str]) -> str:
 
 
 def wires_outside(diagram: Diagram, parts: Mapping[str, Part]) -> list[tuple[Endpoint, Endpoint]]:
-    """Return source and target of every wire that is seen: ends inside a closed sub-diagram are those of its ports."""
-    found = []
+    """Return source and target of every wire that is seen: as written where both ends are blocks of the document.
+
+    Ends inside a closed sub-diagram of an opened one are those of its ports.
+    """
+    found: list[tuple[Endpoint, Endpoint]] = []
+    shown = {*parts, *diagram.nodes}
+    for first, last in diagram.document.get("wires", []):
+        source, target = endpoint(first), endpoint(last)
+        if source is not None and target is not None and source.block in shown and target.block in shown:
+            found.append((source, target))
+    as_written = {name for name in parts if "/" not in name} | {name for name in diagram.nodes if "/" not in name}
     for wire in diagram.wires:
+        if {wire.source.block.partition("/")[0], wire.target.block.partition("/")[0]} <= as_written:
+            continue
         within = inside(wire.source.block, parts), inside(wire.target.block, parts)
         if within[0] and within[0] == within[1]:
             continue

@@ -48,7 +48,7 @@ class MatrixFunction:
     @property
     def nonzeros(self) -> Any:
         """The entries that are not zero everywhere, as a column of expressions of the arguments."""
-        return self._expression.nz[:] if len(self.rows) else ca.SX(0, 1)
+        return ca.vec(self._expression.nz[:]) if len(self.rows) else ca.SX(0, 1)  # those of a row are a row
 
     @cached_property
     def shape(self) -> tuple[int, int]:

@@ -18,6 +18,7 @@ from rotorsim.model.compiled import Model
 from rotorsim.recordings.recording import ANGLE, Recording, Run
 from rotorsim.settled.result import Periodic
 from rotorsim.simulation.result import Result, flat_name
+from rotorsim.units import compatible
 
 RECORDING_FILE = "recording.json"
 DEEPEST_RECORDING = 3  # folders below the diagram's in which recordings are looked for
@@ -34,7 +35,9 @@ def recordings_below(folder: Path) -> list[Data]:
     for one in pattern:
         for file in sorted(folder.glob(f"{one}/{RECORDING_FILE}")):
             if file.is_file() and file.resolve().is_relative_to(folder.resolve()):
-                found.append({"name": file.parent.relative_to(folder).as_posix(), **_described(file)})
+                name = file.parent.relative_to(folder).as_posix()
+                if name.isprintable():  # others cannot be written as JSON, or not be read
+                    found.append({"name": name, **_described(file)})
     return found[:MOST_LISTED]
 
 
@@ -42,10 +45,11 @@ def _described(file: Path) -> Data:
     """Return what a description says of kind and runs, as far as it can be read: verbs say what is wrong with it."""
     try:
         data = json.loads(file.read_bytes()) if file.stat().st_size < MOST_DESCRIBED else {}
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         data = {}
     runs = data.get("runs") if isinstance(data, dict) else None
     ids = [str(run["id"]) for run in runs if isinstance(run, dict) and "id" in run] if isinstance(runs, list) else []
+    ids = [one for one in ids if one.isprintable()]
     return {"kind": str(data.get("kind", "time")) if isinstance(data, dict) else "time", "runs": ids}
 
 
@@ -126,6 +130,7 @@ class BesideSettled:
 
     settled: Periodic
     measured: Mapping[str, HarmonicsOverSpeed]
+    left_out: tuple[str, ...] = ()  # measured signals that are none of the diagram, and why
 
     def plot(self) -> Any:
         """Return the figure of both."""
@@ -144,12 +149,34 @@ def beside_settled(
     """
     from rotorsim.settled.periodic import periodic
 
-    measured = {model.diagram.as_measured(name): one for name, one in harmonics_over_speed(recording).items()}
+    measured = {}
+    left_out = []
+    for name, one in harmonics_over_speed(recording).items():
+        meant = model.diagram.as_measured(name)
+        why = _misfit(model.diagram, meant, one.harmonics[0].unit)
+        if why:
+            left_out.append(f"{name} ({why})")
+        else:
+            measured[meant] = one
+    if not measured:
+        raise RotorsimError(Problem(f"no measured signal is one of the diagram: {', '.join(left_out)}", recording.name))
     known = np.concatenate([one.speeds for one in measured.values()])
     top = max(float(speeds[-1]), PAST_RUNS * float(known.max()))
     all_speeds = np.unique(np.concatenate([np.linspace(speeds[0], top, len(speeds)), known]))
     settled = periodic(model, speeds=all_speeds, parameters=parameters, progress=progress)
-    return BesideSettled(settled, measured)
+    return BesideSettled(settled, measured, tuple(left_out))
+
+
+def _misfit(diagram: Diagram, name: str, unit: str) -> str:
+    """Return why a measured signal is none that the diagram records, "" where it is."""
+    end = endpoint(name)
+    node = None if end is None else diagram.nodes.get(end.block)
+    if end is None or node is None or end.port not in node.outputs:
+        return "no such signal"
+    if not any(str(one).partition("[")[0] == name.partition("[")[0] for one in diagram.record):
+        return "not recorded"
+    known = node.outputs[end.port].unit
+    return f"{unit}, not {known}" if compatible(unit, known) in ("different", "angle") else ""
 
 
 def in_axes(flat: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

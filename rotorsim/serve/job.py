@@ -51,3 +51,7 @@ class Job:
                     self._thread = None
         except StoppedError:
             raise RotorsimError(Problem("stopped"), exit_code=1) from None
+        except Exception:
+            if self._stopped:  # what is raised within a call of C comes out of it as another error
+                raise RotorsimError(Problem("stopped"), exit_code=1) from None
+            raise

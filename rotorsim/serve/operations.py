@@ -298,9 +298,9 @@ def _trimmed(document: Document) -> Document:
 
 def _is_of(text: Any, block: str) -> bool:
     """Return whether a wire end, a signal or the name of a parameter is of a block, or inside of a sub-diagram."""
-    if not isinstance(text, str) or "." not in text:
+    owner = text.partition(".")[0].strip() if isinstance(text, str) else ""
+    if not owner or ("." not in text and "/" not in text):  # "drive/k" is a parameter of a sub-diagram
         return False
-    owner = text.partition(".")[0].strip()
     return owner == block or owner.startswith(f"{block}/")
 
 

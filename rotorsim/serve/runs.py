@@ -25,6 +25,7 @@ from rotorsim.simulation.run import simulate
 
 MOST_SAMPLES_SENT = 200_000  # of a signal, that the page is sent; of more every second, third, ...
 MOST_MODELS, MOST_RESULTS = 8, 60  # that are kept
+MOST_STEPS = 20_000_000  # of a co-simulation
 MOST_ERRORS = 4  # signals whose error is said
 CAMPBELL_SPEEDS = 41  # from standstill to twice the speed of the diagram
 ANALYSES = ("modes", "campbell", "periodic")
@@ -77,9 +78,13 @@ class Runs:
 
         begun = time.perf_counter()
         step, parts = _step(coupling.get("step")), coupling.get("parts") or []
-        if not isinstance(parts, list) or not all(isinstance(part, list) for part in parts):
+        if not isinstance(parts, list) or not all(
+            isinstance(part, list) and all(isinstance(one, str) for one in part) for part in parts
+        ):
             raise RotorsimError(Problem("parts are lists of blocks", "cosim"))
         diagram, master = source.load(settings), str(coupling.get("master") or "gauss_seidel")
+        if diagram.solver.stop / step > MOST_STEPS:
+            raise RotorsimError(Problem(f"more than {MOST_STEPS} steps", "step", hint="a longer one"))
         result = cosimulate_diagram(diagram, parts, step=step, master=master, check=True, progress=progress)
         made = result.provenance
         said = [*stability_lines(made), *(f"{one.subject}: {one.what}" for one in said_by_fmus(made, ""))]
@@ -302,4 +307,7 @@ def _periodic(
         columns.insert(2, f"measured [{of_amplitude(unit)}]")
         for row, speed in zip(rows, found.speeds, strict=True):
             row.insert(2, f"{by_speed[speed]:.5g}" if speed in by_speed else "")
-    return beside or found, {"title": f"Settled motion of {model.diagram.name}", "columns": columns, "rows": rows}
+    title = f"Settled motion of {model.diagram.name}"
+    if beside is not None and beside.left_out:
+        title += f"; measured, but not drawn: {', '.join(beside.left_out)}"
+    return beside or found, {"title": title, "columns": columns, "rows": rows}

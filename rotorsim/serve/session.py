@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -62,7 +63,10 @@ class Session:
         file = entry.get("file") if isinstance(entry, dict) and entry.get("type") == "diagram" else None
         if not isinstance(file, str) or name not in self._diagram().sub_ports:
             raise RotorsimError(Problem(f"no sub-diagram '{name}'", hint=near_miss(name, self._diagram().sub_ports)))
-        path = (self._open().path.parent / file).resolve()  # below the folder: the diagram could be drawn
+        path = (self._open().path.parent / file).resolve()
+        if not self._open().state.valid or not path.is_relative_to(self.top._open().path.parent):
+            what = "the file on disk has mistakes: its sub-diagrams are not entered"
+            raise RotorsimError(Problem(what, name, hint="correct them there"))
         known = self._inner.get(name)
         if known is None or known._open().path != path:
             opened = DiagramFile(path, trusted=self.trusted, read_only=self.read_only)
@@ -93,6 +97,7 @@ class Session:
             "kind": "state",
             "file": self.file.path.name,
             "part": self.part,
+            "folder": hashlib.sha256(bytes(self.file.path.parent)).hexdigest(),  # whether another is the same
             "top": self.top.file.path.name if self.top.file is not None else "",
             "sha": state.sha,
             "read_only": self.read_only,
@@ -194,11 +199,14 @@ class Session:
             return self.answered[key]
         if not isinstance(operations, list) or not operations or not isinstance(base, str):
             raise RotorsimError(Problem("an edit has a base and operations", "edit"))
+        if message.get("part", self.part) != self.part:
+            what = f"it was made in '{message['part'] or self.top._open().path.name}', which is not shown any more"
+            raise RotorsimError(Problem(what, "edit", hint="do it again there"))
         file = self._open()
         broken = self._broken_outside()
         edited = file.edit(base, operations, mine=message.get("mine") is True)
         if now := [problem for problem in self._broken_outside() if problem not in broken]:
-            file.edit(edited.sha, edited.undo)
+            file.restore(edited)
             self._broken_outside()
             hint = "this sub-diagram would not fit there any more"
             raise RotorsimError(*(replace(problem, hint=hint) for problem in now))

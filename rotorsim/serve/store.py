@@ -38,11 +38,16 @@ CHANGED_MEANWHILE = "the file was changed while it was being written; nothing wa
 
 @dataclass(frozen=True)
 class Edited:
-    """An edit that was written: the hash of the file now, what takes the edit back, and what does it again."""
+    """An edit that was written: the hash of the file now, what takes the edit back, and what does it again.
+
+    before: what stood in the file; made: files that are new.
+    """
 
     sha: str
     undo: list[Operation]
     redo: list[Operation]
+    before: bytes
+    made: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +136,7 @@ class DiagramFile:
         else:
             new = with_changes(now, differences(old, applied(old, operations, editing)))
         undo, redo = differences(new, now), differences(now, new)
-        made: list[Path] = []
+        before, made = self._content or b"", list[Path]()
         try:
             for name, document in editing.created.items():
                 with self.path.with_name(name).open("x", encoding="utf-8") as stream:  # never over another file
@@ -143,7 +148,15 @@ class DiagramFile:
             for path in made:
                 path.unlink(missing_ok=True)
             raise error if isinstance(error, RotorsimError) else RotorsimError(Problem(str(error), "edit")) from error
-        return Edited(self.state.sha, _patches(undo), _patches(redo))
+        return Edited(self.state.sha, _patches(undo), _patches(redo), before, tuple(made))
+
+    def restore(self, edited: Edited) -> None:
+        """Put back what stood in the file before an edit, where nobody has changed it since."""
+        if self.state.sha == edited.sha and _sha(_bytes(self.path)) == edited.sha:
+            write_atomically(self.path, edited.before)
+            for path in edited.made:
+                path.unlink(missing_ok=True)
+        self.refresh()
 
     def _editing(self) -> Editing:
         diagram = self.state.diagram

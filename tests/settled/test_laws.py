@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.model.matrix_function import MatrixFunction
-from rotorsim.settled.laws import Laws, Split, by_parameters, column_of
+from rotorsim.settled.laws import Laws, Matrix, Split, Together, by_parameters, column_of
 
 t, p, theta, x = (ca.SX.sym(name, size) for name, size in (("t", 1), ("p", 2), ("theta", 2), ("x", 2)))
 RNG = np.random.default_rng(3)
@@ -53,3 +53,18 @@ def test_laws_that_follow_the_states_are_told_from_those_of_time():
     w_x = split.w_x(*at).reshape(3, 7, -1, 2)
     np.testing.assert_allclose(A[:, None] + B[0][:, None, :, split.moving] @ w_x, by_x, rtol=1e-13, atol=1e-14)
     assert len(split.moving) == 1 < split.w.shape[0]
+
+
+def test_matrices_of_one_row_and_of_nothing_are_evaluated_with_the_others():
+    matrices = {
+        "row": ca.horzcat(p[0] * theta[0], 0, theta[1]),
+        "column": ca.vertcat(theta[1], p[1]),
+        "nothing": ca.SX(2, 2),
+        "square": ca.diag(theta),
+    }
+    kept = {name: Matrix.of(matrix, p, theta) for name, matrix in matrices.items()}
+    found = Together(kept)(P, THETA)
+    for name, matrix in kept.items():
+        for own, alone in zip(found[name], matrix(P, THETA), strict=True):
+            np.testing.assert_array_equal(own, alone)
+    np.testing.assert_array_equal(found["row"][0][:, 0, 0], P[:, 0] * THETA[:, 0])

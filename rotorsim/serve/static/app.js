@@ -33,7 +33,9 @@ export function shownBy(function_) {
 const steps = new Map(); // sub-diagram -> its undo and redo: each file has its own
 
 // Goes into the file of a sub-diagram, "" for the diagram that is served.
-export async function enter(part) {
+export const enter = (part) => after(() => goInto(part)); // behind the edits of the file that is left
+
+async function goInto(part) {
   const found = await live.ask({ kind: "enter", part });
   if (found.kind === "refused") set({ said: `not entered: ${found.problems[0].what}` });
 }
@@ -103,14 +105,17 @@ let last = Promise.resolve(); // edits go one after the other
 const after = (work) => (last = last.then(work));
 
 // Sends an edit; where: which list takes what undoes it. Returns whether it was written.
-export const edit = (operations, more) => after(() => send(operations, more));
+export const edit = (operations, more) => {
+  const part = app.state.part; // the file that it is made on
+  return after(() => send(operations, { part, ...more }));
+};
 
-async function send(operations, { base, mine = false, title, where = "new" } = {}) {
+async function send(operations, { part, base, mine = false, title, where = "new" }) {
   if (readOnly() || !operations.length) return false;
   awaited = null;
   const known = base ?? app.sha;
   const before = new Set(app.state.view.blocks.map((one) => one.name));
-  const found = await live.askOnce({ kind: "edit", base: known, operations, mine });
+  const found = await live.askOnce({ kind: "edit", part, base: known, operations, mine });
   const words = title ?? name_of(operations);
   if (found.kind === "done") {
     const step = { back: found.undo, title: words };
@@ -121,7 +126,8 @@ async function send(operations, { base, mine = false, title, where = "new" } = {
       app.undo.push(step);
       if (where === "new") app.redo.length = 0;
     }
-    const said = { undo: `taken back: ${words}`, redo: `done again: ${words}` }[where] ?? saidOf(words);
+    const kept = words.startsWith("group ") ? "; the file of the sub-diagram stays, with what was changed in it" : "";
+    const said = { undo: `taken back: ${words}${kept}`, redo: `done again: ${words}` }[where] ?? saidOf(words);
     if (["add", "insert", "group"].includes(operations[0].op)) awaited = (one) => !before.has(one.name);
     if (operations[0].op === "rename") awaited = (one) => one.name === operations[0].to;
     set({ said, refused: [] });
@@ -135,12 +141,17 @@ async function send(operations, { base, mine = false, title, where = "new" } = {
   return false;
 }
 
-export const undo = () => after(() => back(app.undo, "undo"));
-export const redo = () => after(() => back(app.redo, "redo"));
+export const undo = () => stepBack("undo");
+export const redo = () => stepBack("redo");
+
+function stepBack(where) {
+  const part = app.state.part;
+  return after(() => (app.state.part === part ? back(app[where], where) : null));
+}
 
 async function back(steps, where) {
   const step = steps.pop();
-  if (step && !(await send(step.back, { title: step.title, where })) && app.dialog?.kind !== "conflict") steps.push(step);
+  if (step && !(await send(step.back, { part: app.state.part, title: step.title, where })) && app.dialog?.kind !== "conflict") steps.push(step);
   set({});
 }
 

@@ -14,7 +14,7 @@ function Box({ title, id, children }) {
   useEffect(() => {
     const before = document.activeElement;
     (box.current.querySelector("input, select, .list button:not([disabled])") ?? box.current.querySelector("button")).focus();
-    return () => before?.focus?.();
+    return () => queueMicrotask(() => before?.focus?.()); // not while the page is drawn
   }, []);
   const onKeyDown = (event) => {
     event.stopPropagation();

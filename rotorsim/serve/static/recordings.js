@@ -7,10 +7,12 @@ import { analyse, run } from "./runs.js";
 
 Object.assign(app, { recordings: null, recording: "", recorded_run: "", finding: null, found: null });
 
+const held = (name) => name.endsWith("_hold_out"); // scores what others have led to
+
 export async function listRecordings() {
   const answer = await get("/api/recordings");
   const { recordings } = await answer.json();
-  const names = recordings.map((one) => one.name);
+  const names = recordings.map((one) => one.name).filter((name) => !held(name));
   set({ recordings, recording: names.includes(app.recording) ? app.recording : (names[0] ?? "") });
 }
 
@@ -42,7 +44,6 @@ export function Recordings() {
   useEffect(() => {
     listRecordings();
   }, [app.state.file]);
-  const held = (name) => name.endsWith("_hold_out");
   const names = (app.recordings ?? []).map((one) => one.name).filter((name) => !held(name));
   if (!names.length) {
     return html`<details class="recordings"><summary>Recordings</summary>

@@ -200,7 +200,7 @@ function Chart({ name, runs }) {
   useEffect(() => {
     const parts = runs.map((one) => [one, rowsOf(one, name)]).filter((part) => part[1]);
     const unit = parts[0][1].signal.unit;
-    const alike = parts.every(([one]) => one.time.length === parts[0][0].time.length && one.time.at(-1) === parts[0][0].time.at(-1));
+    const alike = parts.every(([one]) => one.time.length === parts[0][0].time.length && one.time[0] === parts[0][0].time[0] && one.time.at(-1) === parts[0][0].time.at(-1));
     const gaps = (row) => (row.every(Number.isFinite) ? row : Array.from(row, (value) => (Number.isFinite(value) ? value : null)));
     const tables = parts.map(([one, { rows }]) => [one.time, ...rows.slice(0, most.entries).map(gaps)]);
     const data = alike ? [tables[0][0], ...tables.flatMap((table) => table.slice(1))] : uPlot.join(tables);

@@ -53,17 +53,20 @@ export function duplicate() {
   edit([{ op: "insert", ...given, at: shifted(given.at, blocks.length > 1 ? Math.max(...rows) + 0.5 : rows[0] + 0.5) }]);
 }
 
+// The value that a followed parameter of the diagram has, as it is written there.
+const written = (item) => app.state.view.parameters.find((one) => one.name === item.follows)?.written ?? item.value;
+
 const COPIED = "rotorsim-blocks";
 const elsewhere = () => app.dialog || /^(INPUT|TEXTAREA)$/.test(document.activeElement.tagName);
 
 // Puts the selected blocks on the clipboard as JSON, so that another diagram, or an editor, can take them.
 export function copy(event) {
   const blocks = editable();
-  if (!blocks.length || elsewhere()) return;
-  const given = fragment(blocks);
+  if (!blocks.length || elsewhere() || String(getSelection())) return; // text that is marked is copied as ever
+  const given = { ...fragment(blocks), folder: app.state.folder };
   for (const one of blocks) {
     const followed = one.parameters.filter((item) => item.follows && one.entry.parameters?.[item.name]);
-    const values = Object.fromEntries(followed.map((item) => [item.name, item.value]));
+    const values = Object.fromEntries(followed.map((item) => [item.name, written(item)]));
     if (followed.length) given.blocks[one.name] = { ...one.entry, parameters: { ...one.entry.parameters, ...values } };
   }
   event.clipboardData.setData("text/plain", JSON.stringify({ [COPIED]: given }));
@@ -80,9 +83,13 @@ export function paste(event) {
     return;
   }
   if (typeof given?.blocks !== "object" || !given.at) return;
-  const rows = app.state.view.rows.map((each) => each.value);
+  const { folder, ...copied } = given;
   event.preventDefault();
-  edit([{ op: "insert", ...given, at: shifted(given.at, (rows[rows.length - 1] ?? -1) + 1) }]);
+  if (folder !== app.state.folder && Object.values(copied.blocks).some((one) => one?.file)) {
+    return set({ said: "not pasted: a sub-diagram or FMU among these blocks has its file in another folder" });
+  }
+  const rows = app.state.view.rows.map((each) => each.value);
+  edit([{ op: "insert", ...copied, at: shifted(given.at, (rows[rows.length - 1] ?? -1) + 1) }]);
 }
 
 export const group = () => editable().length && set({ dialog: { kind: "group", blocks: editable().map((one) => one.name) } });
