@@ -100,7 +100,7 @@ def dissolve(data: Mapping[str, Any], name: str, inner: Mapping[str, Any]) -> Do
         outer["record"] = [signal for ends in signals for signal in ends]
 
     free = outer.get("identify", {})
-    for key in [one for one in free if one.startswith(f"{name}/") and "." not in one]:
+    for key in [one for one in free if one.partition("/")[0] == name and one.count("/") == 1 and "." not in one]:
         held = free.pop(key)  # a parameter of the sub-diagram: what follows it inside
         followed = f"${key.partition('/')[2]}"
         for one, block in inner.get("blocks", {}).items():

@@ -107,6 +107,26 @@ def test_ports_are_named_by_what_they_lead_to_and_values_follow_those_outside() 
     assert back["layout"] == {"one": [0, 0], "sum": [2, 0], "gains_two": [1.0, 0.0], "three": [1.0, 2.0]}
 
 
+def test_what_is_recorded_and_free_in_a_group_follows_it_into_another() -> None:
+    data = {
+        "blocks": {
+            "gains": {"type": "diagram", "file": "gains.json", "parameters": {"k": 2.0}},
+            "one": {"type": "constant"},
+        },
+        "record": ["gains/first.output"],
+        "identify": {"gains/first.gain": {}, "gains/k": {"low": 1.0}},
+    }
+    outer, inner = group(data, ["gains"], "more", "more.json")
+    assert outer["record"] == ["more/gains/first.output"]
+    assert outer["identify"] == {"more/gains/first.gain": {}, "more/gains/k": {"low": 1.0}}
+    back = dissolve(outer, "more", inner)
+    assert (back["record"], back["identify"]) == (data["record"], data["identify"])
+    gains = {"blocks": {"first": {"type": "gain", "parameters": {"gain": "$k"}}}, "parameters": {"k": 3.0}}
+    flat = dissolve(data, "gains", gains)
+    assert flat["blocks"]["first"]["parameters"] == {"gain": 2.0}
+    assert flat["identify"] == {"first.gain": {"low": 1.0}}
+
+
 def test_a_group_that_takes_the_name_of_one_of_its_blocks_stands_there() -> None:
     blocks = {one: {"type": "constant"} for one in ("a", "b", "c", "d")}
     outer, inner = group({"blocks": blocks}, ["a", "c"], "c", "c2.json")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import shlex
 from collections.abc import Iterator
@@ -108,6 +110,39 @@ def test_a_co_simulation_is_told_with_what_the_coupling_does(at: Served, mine: P
             assert refused["problems"][0]["what"] == what, asked
 
     talk(talking)
+
+
+def test_what_was_measured_and_is_not_drawn_is_said(at: Served, mine: Path) -> None:
+    """FAULT: a force in metres stood beside one in newtons; signals that the diagram lacks were left out in silence."""
+    description = mine.parent / "bench" / "recording.json"
+    text = description.read_text()
+    document = json.loads(mine.read_text())
+    document["record"].append("amb.force")
+    mine.write_text(json.dumps(document))
+
+    async def talking() -> None:
+        page = await opened(at)
+        description.write_text(text.replace("controller.current", "controler.current"))
+        found = await page.ask(kind="analyse", what="periodic", recording="bench")
+        assert "measured, but not drawn: controler.current (no such signal)" in found["title"]
+        description.write_text(text.replace("rotor.displacement", "amb.force"))
+        found = await page.ask(kind="analyse", what="periodic", recording="bench")
+        assert "measured, but not drawn: amb.force (m, not N)" in found["title"]
+        assert "1X of controller.current" in found["columns"][1]
+
+    talk(talking)
+
+
+def test_a_broken_description_takes_no_other_recording_away(at: Served, mine: Path) -> None:
+    for name, text in (("deep", "[" * 200_000), ("odd", '{"runs": [{"id": "\\ud800"}, {"id": 7}, 5]}'), ("none", "{")):
+        (mine.parent / name).mkdir()
+        (mine.parent / name / "recording.json").write_text(text)
+    (mine.parent / os.fsdecode(b"\xff")).mkdir()
+    (mine.parent / os.fsdecode(b"\xff") / "recording.json").write_text("{}")
+    answer, body = at.ask("/api/recordings", X_Rotorsim_Token=TOKEN)
+    assert answer.status == 200
+    found = {one["name"]: one["runs"] for one in json.loads(body)["recordings"]}
+    assert found == {"bench": ["run01", "run02"], "deep": [], "none": [], "odd": ["7"]}
 
 
 def test_entries_of_two_axes_are_one_signal() -> None:

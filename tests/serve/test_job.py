@@ -65,3 +65,20 @@ def test_what_is_stopped_before_it_begins_does_not_begin() -> None:
     with pytest.raises(RotorsimError, match="stopped"):
         job.do(lambda: done.append(1))
     assert done == []
+
+
+def test_what_c_makes_of_the_stop_is_the_stop() -> None:
+    job = Job()
+
+    def work() -> None:
+        job.stop()
+        try:
+            while True:
+                time.sleep(0.001)
+        except BaseException:
+            raise SystemError("returned a result with an exception set") from None
+
+    with pytest.raises(RotorsimError, match="stopped"):
+        job.do(work)
+    with pytest.raises(SystemError):  # of nobody who was stopped
+        Job().do(lambda: (_ for _ in ()).throw(SystemError("its own")))

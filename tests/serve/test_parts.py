@@ -156,3 +156,79 @@ def test_blocks_are_grouped_and_the_group_is_entered_at_once(mine: Path) -> None
             assert page.state["problems"] == []
 
         talk(talking)
+
+
+def test_a_file_outside_of_the_folder_is_not_entered(tmp_path: Path) -> None:
+    """FAULT: the path came from the newest document, its check from the last good one."""
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    path = written(folder)
+    outside = tmp_path / "outside.json"
+    outside.write_text(format_document(GAINS))
+    with served(Session(folder, DiagramFile(path))) as at:
+
+        async def talking() -> None:
+            page = await opened(at)
+            for name in ("../outside.json", str(outside)):
+                path.write_text(format_document(WHOLE).replace("parts/gains.json", name))
+                while page.state["valid"]:
+                    page.state = await page.next()
+                refused = await page.ask(kind="enter", part="gains")
+                what = "the file on disk has mistakes: its sub-diagrams are not entered"
+                assert (refused["kind"], refused["problems"][0]["what"]) == ("refused", what)
+                assert page.state["file"] == "whole.json"
+
+        talk(talking)
+
+
+def test_an_edit_is_made_in_the_file_that_it_was_made_on(tmp_path: Path) -> None:
+    """FAULT: edits that waited while the page went elsewhere were made there."""
+    path = written(tmp_path)
+    with served(Session(tmp_path, DiagramFile(path))) as at:
+
+        async def talking() -> None:
+            page = await inside(at)
+            adding = {"op": "add", "type": "gain", "at": [5, 5]}
+            refused = await page.edit(adding, part="")
+            what = "it was made in 'whole.json', which is not shown any more"
+            assert (refused["kind"], refused["problems"][0]["what"]) == ("refused", what)
+            assert (await page.edit(adding, part="gains"))["kind"] == "done"
+            assert path.read_text() == format_document(WHOLE)
+
+        talk(talking)
+
+
+def test_what_is_refused_outside_leaves_the_file_as_it_was_written(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    part = tmp_path / "parts" / "gains.json"
+    part.write_text(json.dumps(GAINS))  # by hand, in another form
+    names = sorted(one.name for one in part.parent.iterdir())
+    with served(Session(tmp_path, DiagramFile(path))) as at:
+
+        async def talking() -> None:
+            page = await inside(at)
+            cut = {"op": "port", "side": "outputs", "end": "second.output", "on": False}
+            grouped = {"op": "group", "blocks": ["first"], "name": "deep"}
+            assert (await page.edit(grouped, cut))["kind"] == "refused"
+            assert part.read_text() == json.dumps(GAINS)
+            assert [one.name for one in part.parent.iterdir() if one.suffix == ".json"] == names
+
+        talk(talking)
+
+
+def test_wires_at_a_group_are_those_that_are_written(mine: Path) -> None:
+    """FAULT: of several ports that lead to one additive input, the first was shown for all."""
+    file = DiagramFile(mine)
+    file.edit(file.state.sha, [{"op": "group", "blocks": ["rotor"], "name": "part"}])
+    with served(Session(mine.parent, file)) as at:
+
+        async def talking() -> None:
+            page = await opened(at)
+            written_wires = json.loads(mine.read_text())["wires"]
+            shown = [[wire["source"], wire["target"]] for wire in page.state["view"]["wires"]]
+            assert sorted(shown) == sorted(written_wires)
+            assert ["unbalance.force", "part.rotor_force"] in shown
+            cut = {"op": "cut", "source": "unbalance.force", "target": "part.rotor_force"}
+            assert (await page.edit(cut))["kind"] == "done"
+
+        talk(talking)
