@@ -35,8 +35,13 @@ def group(data: Mapping[str, Any], blocks: Collection[str], name: str, file: str
     own = {one: entries[one] for one in entries if one in chosen}
     border = _Border(own)
     if "wires" in outer:
-        seen = (border.wire(source, target, name) for source, target in outer["wires"])
-        outer["wires"] = [list(wire) for wire in dict.fromkeys(tuple(wire) for wire in seen if wire)]
+        kept: dict[tuple[str, ...], None] = {}
+        for source, target in outer["wires"]:
+            wire = tuple(border.wire(source, target, name) or ())
+            if wire == (source, target):  # stays where it stood, also where others have become the same
+                kept.pop(wire, None)
+            kept |= {wire: None} if wire and wire not in kept else {}
+        outer["wires"] = [list(wire) for wire in kept]
     for side, ends in outer.get("ports", {}).items():
         ends.update({port: border.exposed(written, side == "inputs", name) for port, written in ends.items()})
     outer["blocks"] = _with_entries(entries, own, {name: {"type": "diagram", "file": file, **_followed(own)}}, name)
@@ -56,11 +61,12 @@ def group(data: Mapping[str, Any], blocks: Collection[str], name: str, file: str
     return outer, inner
 
 
-def dissolve(data: Mapping[str, Any], name: str, inner: Mapping[str, Any]) -> Document:
-    """Return a document with the blocks of the sub-diagram ``name`` in its place; ``inner`` is what its file holds.
+def dissolve(data: Mapping[str, Any], name: str, inner: Mapping[str, Any]) -> tuple[Document, dict[str, str]]:
+    """Return a document with the blocks of the sub-diagram ``name`` in its place, and their names there.
 
-    Blocks keep their names, with the sub-diagram's in front where one is taken. Its parameters are replaced by the
-    values that they are given, or by their own. Raises RotorsimError where the block is no sub-diagram.
+    inner: what its file holds. Blocks keep their names, with the sub-diagram's in front where one is taken. Its
+    parameters are replaced by the values that they are given, or by their own.
+    Raises RotorsimError where the block is no sub-diagram.
     """
     outer: Document = copy.deepcopy(dict(data))
     entries = outer.get("blocks", {})
@@ -104,8 +110,8 @@ def dissolve(data: Mapping[str, Any], name: str, inner: Mapping[str, Any]) -> Do
         held = free.pop(key)  # a parameter of the sub-diagram: what follows it inside
         followed = f"${key.partition('/')[2]}"
         for one, block in inner.get("blocks", {}).items():
-            values = block.get("parameters", {})
-            free |= {f"{name}/{one}.{each}": held for each, value in values.items() if value == followed}
+            values, dot = block.get("parameters", {}), "/" if block.get("type") == "diagram" else "."
+            free |= {f"{name}/{one}{dot}{each}": held for each, value in values.items() if value == followed}
 
     def out(block: str) -> str:
         part, _, rest = block.partition("/")
@@ -120,7 +126,7 @@ def dissolve(data: Mapping[str, Any], name: str, inner: Mapping[str, Any]) -> Do
             middle = [sum(place[k] for place in places.values()) / len(places) for k in (0, 1)]
             moved = {new: [at[k] + places[one][k] - middle[k] for k in (0, 1)] for one, new in names.items()}
         outer["layout"] = _with_entries(outer["layout"], [name], moved, name)
-    return outer
+    return outer, names
 
 
 class _Border:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,10 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.diagram.grouping import dissolve
 from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.diagram.parse.source import read_document
+from rotorsim.errors import Problem, RotorsimError
 from rotorsim.files import write_atomically
 from rotorsim.identification.result import Identification
 from rotorsim.identification.verdict import Verdict
@@ -76,20 +80,57 @@ def _finite(value: float) -> float | None:
 def with_values(diagram: Diagram, free: list[tuple[Free, float]]) -> dict[str, Any]:
     """Return the document of a diagram with values put in place of free parameters (SI, with their unit).
 
-    Blocks that were removed (``--without``) are left out, with their wires and what was free in them.
+    Blocks that were removed (``--without``) are left out, with their wires and what was free in them. Sub-diagrams with
+    free parameters of blocks inside are dissolved: their files stay as they are.
+    Raises RotorsimError where the file of one is not known.
     """
     document = _without_removed(copy.deepcopy(dict(diagram.document)), diagram)
+    names = {item.base: item.base for item, _ in free}
+    document = _with_inner(document, diagram, free, names)
     for item, value in free:
-        text = value if item.unit in ("", "1") else f"{value!r} {item.unit}"
-        if item.base in diagram.parameters:
-            document["parameters"][item.base] = _replaced(
-                diagram.parameters[item.base], item, text, document["parameters"].get(item.base)
-            )
-            continue
-        block, _, key = item.base.rpartition(".")
-        parameters = document["blocks"][block].setdefault("parameters", {})
-        parameters[key] = _replaced(diagram.nodes[block].values[key], item, text, parameters.get(key))
+        block, _, key = names[item.base].rpartition(".")
+        if item.base in diagram.parameters and "/" not in item.base:
+            before, values = document["parameters"].get(item.base), diagram.parameters[item.base]
+            document["parameters"][item.base] = _replaced(values, item, _text(item, value), before)
+        elif block:
+            parameters = document["blocks"][block].setdefault("parameters", {})
+            values = diagram.nodes[item.base.rpartition(".")[0]].values[item.base.rpartition(".")[2]]
+            parameters[key] = _replaced(values, item, _text(item, value), parameters.get(key))
     return document
+
+
+def _text(item: Free, value: float) -> Any:
+    return value if item.unit in ("", "1") else f"{value!r} {item.unit}"
+
+
+def _with_inner(
+    document: dict[str, Any], diagram: Diagram, free: list[tuple[Free, float]], names: dict[str, str]
+) -> dict[str, Any]:
+    """Put values of parameters of sub-diagrams ("drive/k") in place, and dissolve those with other free ones.
+
+    names: free parameter -> its name in the document, which is changed.
+    """
+    while True:
+        for item, value in free:
+            part, slash, key = names[item.base].partition("/")
+            if slash and "." not in key and "/" not in key:
+                given = document["blocks"][part].setdefault("parameters", {})
+                given[key] = _replaced(diagram.parameters[item.base], item, _text(item, value), given.get(key))
+                names[item.base] = key  # it is in place
+        inside = next((name for name in names.values() if "/" in name), None)
+        if inside is None:
+            return document
+        part = inside.partition("/")[0]
+        if diagram.folder is None:
+            what = "is inside of a sub-diagram, whose file is not known"
+            raise RotorsimError(Problem(what, inside, hint="load the diagram from its file"))
+        inner = read_document(Path(diagram.folder) / document["blocks"][part]["file"]).data
+        document, moved = dissolve(document, part, inner)
+        for base, name in names.items():
+            owner, _, rest = name.partition("/")
+            if owner == part and rest:
+                block = re.split(r"[./]", rest, maxsplit=1)[0]
+                names[base] = moved.get(block, block) + rest[len(block) :]
 
 
 def _without_removed(document: dict[str, Any], diagram: Diagram) -> dict[str, Any]:

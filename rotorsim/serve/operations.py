@@ -229,7 +229,7 @@ def _dissolve(document: Document, operation: Operation, editing: Editing) -> Doc
         raise RotorsimError(Problem("is no sub-diagram", name))
     inner = read_document(editing.folder / file).data  # below the folder: the diagram could be drawn
     _whole_layout(document, editing)
-    outer = dissolve(document, name, inner)
+    outer, _ = dissolve(document, name, inner)
     outer["layout"] = {one: [_plain(x) for x in at] for one, at in outer["layout"].items()}
     return outer
 

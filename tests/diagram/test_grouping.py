@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from rotorsim.diagram.grouping import dissolve, group
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.resolution import resolve, shipped_diagrams
+from rotorsim.identification.files import with_values
 from rotorsim.model.load import load
 from rotorsim.simulation.run import simulate
 
@@ -47,7 +49,7 @@ def test_a_group_has_the_same_wires_and_dissolves_to_the_same_document(name: str
         for block, node in flat.nodes.items():
             same = found.nodes.get(block) or found.nodes[f"grouped/{block}"]
             assert repr(same.values) == repr(node.values)
-        back = dissolve(outer, "grouped", inner)
+        back, _ = dissolve(outer, "grouped", inner)
         assert back["blocks"] == data["blocks"]
         assert sorted(map(tuple, back["wires"])) == sorted(map(tuple, data["wires"]))
         assert without(back, "blocks", "wires", "layout") == without(data, "blocks", "wires", "layout")
@@ -101,7 +103,8 @@ def test_ports_are_named_by_what_they_lead_to_and_values_follow_those_outside() 
     assert outer["identify"] == {"gains/three.gain": {}}
     assert outer["ports"] == {"outputs": {"y": "gains.three"}}
     assert outer["layout"] == {"one": [0, 0], "sum": [2, 0], "gains": [1.0, 1.0]}
-    back = dissolve({**outer, "blocks": {**outer["blocks"], "two": {"type": "constant"}}}, "gains", inner)
+    back, names = dissolve({**outer, "blocks": {**outer["blocks"], "two": {"type": "constant"}}}, "gains", inner)
+    assert names == {"two": "gains_two", "three": "three"}
     assert list(back["blocks"]) == ["one", "gains_two", "three", "sum", "two"]  # 'two' is taken meanwhile
     assert back["ports"] == {"outputs": {"y": "three.output"}}
     assert back["layout"] == {"one": [0, 0], "sum": [2, 0], "gains_two": [1.0, 0.0], "three": [1.0, 2.0]}
@@ -119,12 +122,44 @@ def test_what_is_recorded_and_free_in_a_group_follows_it_into_another() -> None:
     outer, inner = group(data, ["gains"], "more", "more.json")
     assert outer["record"] == ["more/gains/first.output"]
     assert outer["identify"] == {"more/gains/first.gain": {}, "more/gains/k": {"low": 1.0}}
-    back = dissolve(outer, "more", inner)
+    back, _ = dissolve(outer, "more", inner)
     assert (back["record"], back["identify"]) == (data["record"], data["identify"])
     gains = {"blocks": {"first": {"type": "gain", "parameters": {"gain": "$k"}}}, "parameters": {"k": 3.0}}
-    flat = dissolve(data, "gains", gains)
+    flat, _ = dissolve(data, "gains", gains)
     assert flat["blocks"]["first"]["parameters"] == {"gain": 2.0}
     assert flat["identify"] == {"first.gain": {"low": 1.0}}
+
+
+def test_free_parameters_inside_of_a_group_are_written_where_they_are(tmp_path: Path) -> None:
+    """FAULT: identify ended with a KeyError after the whole computation."""
+    data = read_document(SHIPPED["jeffcott"]).data
+    data["identify"] = {"rotor.mass": {}, "controller.KP": {}, "crack_stiffness": {}}
+    data["parameters"].pop("force_current_factor")
+    data["blocks"]["amb"]["parameters"]["force_current_factor"] = "42.1 N/A"
+    once, inner = group(data, ["rotor", "amb"], "machine", "machine.json")
+    (tmp_path / "machine.json").write_text(format_document(inner))
+    twice, outer = group(once, ["machine"], "deep", "deep.json")
+    (tmp_path / "deep.json").write_text(format_document(outer))
+    twice["blocks"]["deep"]["parameters"]["force_displacement_factor"] = "1e5 N/m"
+    twice["identify"]["deep/force_displacement_factor"] = {}
+    del twice["parameters"]["force_displacement_factor"]
+    (tmp_path / "whole.json").write_text(format_document(twice))
+    diagram = load(tmp_path / "whole.json")
+    assert [item.base for item in diagram.free] == [
+        "deep/machine/rotor.mass",
+        "controller.KP",
+        "crack_stiffness",
+        "deep/force_displacement_factor",
+    ]
+    written = with_values(diagram, list(zip(diagram.free, (2.5, 12000.0, 2e5, 9e4), strict=True)))
+    assert written["blocks"]["rotor"]["parameters"]["mass"] == "2.5 kg"
+    assert written["blocks"]["controller"]["parameters"]["KP"] == "12000.0 A/m"
+    assert written["parameters"]["crack_stiffness"] == "200000.0 N/m"
+    assert written["blocks"]["amb"]["parameters"]["force_displacement_factor"] == "90000.0 N/m"
+    assert wires(load(written)) == wires(load(data))
+    in_memory = load(twice, folder=tmp_path)
+    with pytest.raises(RotorsimError, match="is inside of a sub-diagram, whose file is not known"):
+        with_values(replace(in_memory, folder=None), [(in_memory.free[0], 2.5)])
 
 
 def test_a_group_that_takes_the_name_of_one_of_its_blocks_stands_there() -> None:
@@ -132,7 +167,7 @@ def test_a_group_that_takes_the_name_of_one_of_its_blocks_stands_there() -> None
     outer, inner = group({"blocks": blocks}, ["a", "c"], "c", "c2.json")
     assert list(outer["blocks"]) == ["b", "c", "d"]
     assert list(inner["blocks"]) == ["a", "c"]
-    assert list(dissolve(outer, "c", inner)["blocks"]) == ["b", "a", "c", "d"]
+    assert list(dissolve(outer, "c", inner)[0]["blocks"]) == ["b", "a", "c", "d"]
 
 
 @pytest.mark.parametrize(
