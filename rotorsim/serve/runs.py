@@ -25,7 +25,7 @@ from rotorsim.simulation.run import simulate
 
 MOST_SAMPLES_SENT = 200_000  # of a signal, that the page is sent; of more every second, third, ...
 MOST_MODELS, MOST_RESULTS = 8, 60  # that are kept
-MOST_STEPS = 20_000_000  # of a co-simulation
+MOST_COUPLED_STEPS = 20_000_000  # of a co-simulation
 MOST_ERRORS = 4  # signals whose error is said
 CAMPBELL_SPEEDS = 41  # from standstill to twice the speed of the diagram
 ANALYSES = ("modes", "campbell", "periodic")
@@ -83,8 +83,8 @@ class Runs:
         ):
             raise RotorsimError(Problem("parts are lists of blocks", "cosim"))
         diagram, master = source.load(settings), str(coupling.get("master") or "gauss_seidel")
-        if diagram.solver.stop / step > MOST_STEPS:
-            raise RotorsimError(Problem(f"more than {MOST_STEPS} steps", "step", hint="a longer one"))
+        if diagram.solver.stop / step > MOST_COUPLED_STEPS:
+            raise RotorsimError(Problem(f"more than {MOST_COUPLED_STEPS} steps", "step", hint="a longer one"))
         result = cosimulate_diagram(diagram, parts, step=step, master=master, check=True, progress=progress)
         made = result.provenance
         said = [*stability_lines(made), *(f"{one.subject}: {one.what}" for one in said_by_fmus(made, ""))]

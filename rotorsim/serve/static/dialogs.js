@@ -116,7 +116,7 @@ function Group({ blocks }) {
     edit([{ op: "group", blocks, name }]);
   };
   return html`<${Box} title=${`Group ${blocks.length === 1 ? blocks[0] : `${blocks.length} blocks`} into a sub-diagram`}>
-    <p class="hint">It gets a file of its own beside this one, and a port for each signal that goes in or out.</p>
+    <p class="hint">It gets a file of its own beside this one, and a port for each signal that goes in or out. Signals inside are called ${name}/block.port from then on: recordings of them have to say so.</p>
     <input aria-label="Name of the sub-diagram" data-testid="group-name" value=${name} onInput=${(event) => type(event.target.value)} onKeyDown=${(event) => event.key === "Enter" && done()} />
     <button onClick=${done}>Group</button><//>`;
 }
