@@ -216,7 +216,7 @@ function Chart({ name, runs }) {
     );
     const element = box.current;
     const chart = new uPlot({
-      width: Math.max(element.clientWidth, 240),
+      width: Math.max(element.clientWidth, 140),
       height: 190,
       title: `${name} [${unit}]`,
       scales: { x: { time: false, ...between(name, data[0]) } },
@@ -225,7 +225,7 @@ function Chart({ name, runs }) {
       cursor: { sync: { key: "time" }, drag: { x: true, y: false } },
       legend: { live: true },
     }, data, element);
-    const watch = new ResizeObserver(() => chart.setSize({ width: Math.max(element.clientWidth, 240), height: 190 }));
+    const watch = new ResizeObserver(() => chart.setSize({ width: Math.max(element.clientWidth, 140), height: 190 }));
     watch.observe(element);
     return () => {
       watch.disconnect();
