@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.errors import Problem, RotorsimError, near_miss
+from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
 from rotorsim.identification.waveform.data import RATE_PREFIX, Channels, SampledRun, channels_of
 from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
@@ -64,13 +64,13 @@ def simulate_as_recorded(
     """
     if start not in RUN_STARTS:
         raise RotorsimError(Problem(f"no start '{start}'", hint=f"one of {', '.join(RUN_STARTS)}"))
-    chosen = _run(recording, run)
+    chosen = recording.run(run)
     given = diagram
     if turns_as_recorded(diagram, recording):
         diagram = with_reaction(diagram)
     recording = along_angle(diagram, recording, [chosen])
     channels = channels_of(diagram, recording)
-    parts = read_runs(diagram, [_run(recording, chosen.id)], channels)
+    parts = read_runs(diagram, [recording.run(chosen.id)], channels)
     channels = marked(channels, parts)
     further = _further(compile_diagram(diagram), channels, [*map(str, diagram.record), *record])
     parts = tuple(_with_more(part, further) for part in parts)
@@ -111,14 +111,6 @@ def _first(search: OutputErrorSearch, start: str) -> np.ndarray:
     equations = search.systems[0].equations
     stated = [equations.model.x0(p)[equations.kept] for p in search.p]
     return search.first() if start == RUN_STARTS[0] else np.concatenate(stated)
-
-
-def _run(recording: Recording, name: str | None) -> Run:
-    """Return a run by its id, the first without one. Raises RotorsimError where there is none."""
-    known = {run.id: run for run in recording.runs}
-    if name is not None and name not in known:
-        raise RotorsimError(Problem(f"no run '{name}'", recording.name, hint=near_miss(name, known)))
-    return recording.runs[0] if name is None else known[name]
 
 
 # -- signals -----------------------------------------------------------------------------------------------------------

@@ -139,6 +139,13 @@ class Recording:
             raise RotorsimError(Problem("this signal was not measured", name, run.place, near_miss(name, known)))
         return run.values[column]
 
+    def run(self, name: str | None = None) -> Run:
+        """Return a run by its id, the first without one. Raises RotorsimError with a near miss where there is none."""
+        known = {run.id: run for run in self.runs}
+        if name is not None and name not in known:
+            raise RotorsimError(Problem(f"no run '{name}'", self.name, hint=near_miss(name, known)))
+        return self.runs[0] if name is None else known[name]
+
     def select(self, use: str) -> tuple[Run, ...]:
         """Return the runs of a use: "identify" or "hold_out". Raises RotorsimError for another word."""
         if use not in USES:

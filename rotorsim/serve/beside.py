@@ -6,12 +6,13 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.parse.document import endpoint
+from rotorsim.diagram.resolve.values import numeric
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.measure.over_speed import HarmonicsOverSpeed, harmonics_over_speed
 from rotorsim.model.compiled import Model
@@ -19,6 +20,9 @@ from rotorsim.recordings.recording import ANGLE, Recording, Run
 from rotorsim.settled.result import Periodic
 from rotorsim.simulation.result import Result, flat_name
 from rotorsim.units import compatible
+
+if TYPE_CHECKING:
+    from rotorsim.identification.as_recorded import AsRecorded
 
 RECORDING_FILE = "recording.json"
 DEEPEST_RECORDING = 3  # folders below the diagram's in which recordings are looked for
@@ -67,14 +71,6 @@ def read_recording(folder: Path, name: str) -> Recording:
     return load_recording(folder / name)
 
 
-def chosen_run(recording: Recording, name: str | None) -> Run:
-    """Return a run by its id, the first without one. Raises RotorsimError where there is none."""
-    known = {run.id: run for run in recording.runs}
-    if name and name not in known:
-        raise RotorsimError(Problem(f"no run '{name}'", recording.name, hint=near_miss(name, known)))
-    return known[name] if name else recording.runs[0]
-
-
 @dataclass(frozen=True, eq=False)
 class Beside:
     """A diagram driven as a run was recorded, and what was measured then: signals by their names in the diagram."""
@@ -82,14 +78,13 @@ class Beside:
     simulated: Result
     measured: Result
     errors: Mapping[str, float]  # NRMSE by signal
+    found: AsRecorded
 
     def plot(self) -> Any:
         """Return the figure of simulated beside measured signals in time, the worst stretch of each beside it."""
         from rotorsim.report.figures.as_recorded import as_recorded_figure
 
-        return as_recorded_figure(self._found)
-
-    _found: Any = None
+        return as_recorded_figure(self.found)
 
 
 def driven_as_recorded(diagram: Diagram, recording: Recording, run: str | None) -> Beside:
@@ -97,7 +92,7 @@ def driven_as_recorded(diagram: Diagram, recording: Recording, run: str | None) 
     from rotorsim.identification.as_recorded import MEASURED_PREFIX, simulate_as_recorded
 
     found = simulate_as_recorded(diagram, recording, run)
-    measured = measured_result(diagram, recording, chosen_run(recording, found.run))
+    measured = measured_result(diagram, recording, recording.run(found.run))
     flat = {
         diagram.as_measured(name): (values, found.result.unit(name))
         for name, values in found.result.signals.items()
@@ -130,7 +125,7 @@ class BesideSettled:
 
     settled: Periodic
     measured: Mapping[str, HarmonicsOverSpeed]
-    left_out: tuple[str, ...] = ()  # measured signals that are none of the diagram, and why
+    left_out: tuple[str, ...] = ()  # measured signals and runs that are not those of the diagram, and why
 
     def plot(self) -> Any:
         """Return the figure of both."""
@@ -145,13 +140,15 @@ def beside_settled(
 ) -> BesideSettled:
     """Return the settled motion of a diagram beside what the runs of a recording have measured.
 
-    speeds (n,) [rad/s]: reach further where the runs do, and hold their speeds too.
+    speeds (n,) [rad/s]: reach further where the runs do, and hold their speeds too. Runs of other settings, and those
+    that turn the other way, are another machine: they are left out, and said.
+    Raises RotorsimError where nothing is left.
     """
     from rotorsim.settled.periodic import periodic
 
     measured = {}
-    left_out = []
-    for name, one in harmonics_over_speed(recording).items():
+    runs, left_out = _alike(model.diagram, parameters, recording, float(speeds[-1]))
+    for name, one in harmonics_over_speed(recording, runs).items():
         meant = model.diagram.as_measured(name)
         why = _misfit(model.diagram, meant, one.harmonics[0].unit)
         if why:
@@ -161,10 +158,51 @@ def beside_settled(
     if not measured:
         raise RotorsimError(Problem(f"no measured signal is one of the diagram: {', '.join(left_out)}", recording.name))
     known = np.concatenate([one.speeds for one in measured.values()])
-    top = max(float(speeds[-1]), PAST_RUNS * float(known.max()))
+    top = max(float(speeds[-1]), *(PAST_RUNS * known), key=abs)
     all_speeds = np.unique(np.concatenate([np.linspace(speeds[0], top, len(speeds)), known]))
     settled = periodic(model, speeds=all_speeds, parameters=parameters, progress=progress)
     return BesideSettled(settled, measured, tuple(left_out))
+
+
+def _alike(diagram: Diagram, parameters: Data, recording: Recording, speed: float) -> tuple[list[Run], list[str]]:
+    """Return the runs of the machine that the diagram is, and why others are not; speed: of the diagram [rad/s]."""
+    from rotorsim.identification.waveform.reading import settings_of
+    from rotorsim.measure.as_result import has_angle
+    from rotorsim.signals.shaft_angle import shaft_angle
+
+    runs: list[Run] = []
+    others: dict[str, list[str]] = {}
+    for run in recording.runs:
+        settings, problems = settings_of(diagram, run)
+        if problems:
+            raise RotorsimError(*problems)
+        other = [
+            name for name, value in settings.items() if name != "speed" and not _is(diagram, parameters, name, value)
+        ]
+        if other:
+            others.setdefault(f"other {', '.join(other)}", []).append(run.id)
+        elif has_angle(recording, run) and float(np.subtract(*shaft_angle(recording, run).theta[[-1, 0]])) * speed < 0:
+            others.setdefault("turning the other way", []).append(run.id)
+        else:
+            runs.append(run)
+    left_out = [f"{', '.join(ids)} ({why})" for why, ids in others.items()]
+    if not runs:
+        raise RotorsimError(Problem(f"no run is one of this machine: {'; '.join(left_out)}", recording.name))
+    return runs, left_out
+
+
+def _is(diagram: Diagram, parameters: Data, name: str, value: Any) -> bool:
+    """Return whether a parameter of the diagram has a value (SI) that was set in a run."""
+    block, _, key = name.partition("[")[0].rpartition(".")
+    node = diagram.nodes.get(block)
+    known = diagram.parameters.get(name) if node is None else node.values.get(key)
+    followed = "" if node is None else node.references.get(key, "")
+    given = parameters.get(followed or name)
+    if given is not None:
+        known = numeric(given, diagram.unit_of_parameter(followed or name))
+    if known is None or np.shape(known) != np.shape(value):
+        return False
+    return bool(np.allclose(known, value, rtol=1e-9, atol=0.0))
 
 
 def _misfit(diagram: Diagram, name: str, unit: str) -> str:

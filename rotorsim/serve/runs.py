@@ -18,7 +18,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.text.table import percent, rpm
-from rotorsim.serve.beside import Beside, beside_settled, chosen_run, driven_as_recorded, measured_result
+from rotorsim.serve.beside import Beside, beside_settled, driven_as_recorded, measured_result
 from rotorsim.serve.view import values_of
 from rotorsim.simulation.result import Result, flat_name
 from rotorsim.simulation.run import simulate
@@ -112,7 +112,7 @@ class Runs:
 
     def measured(self, source: Source, recording: Recording, run: str | None) -> Data:
         """Return what a run has measured, as `run` does."""
-        chosen = chosen_run(recording, run)
+        chosen = recording.run(run or None)
         result = measured_result(self._model(source).diagram, recording, chosen)
         title = f"measured, {chosen.id} of {recording.name}"
         return self._keep("measured", result) | _result_data(result) | {"title": title, "measured": True}
@@ -309,5 +309,5 @@ def _periodic(
             row.insert(2, f"{by_speed[speed]:.5g}" if speed in by_speed else "")
     title = f"Settled motion of {model.diagram.name}"
     if beside is not None and beside.left_out:
-        title += f"; measured, but not drawn: {', '.join(beside.left_out)}"
+        title += f"; not drawn: {', '.join(beside.left_out)}"
     return beside or found, {"title": title, "columns": columns, "rows": rows}

@@ -124,11 +124,40 @@ def test_what_was_measured_and_is_not_drawn_is_said(at: Served, mine: Path) -> N
         page = await opened(at)
         description.write_text(text.replace("controller.current", "controler.current"))
         found = await page.ask(kind="analyse", what="periodic", recording="bench")
-        assert "measured, but not drawn: controler.current (no such signal)" in found["title"]
+        assert "not drawn: controler.current (no such signal)" in found["title"]
         description.write_text(text.replace("rotor.displacement", "amb.force"))
         found = await page.ask(kind="analyse", what="periodic", recording="bench")
-        assert "measured, but not drawn: amb.force (m, not N)" in found["title"]
+        assert "not drawn: amb.force (m, not N)" in found["title"]
         assert "1X of controller.current" in found["columns"][1]
+
+    talk(talking)
+
+
+def test_runs_of_another_machine_are_not_drawn_beside_this_one(at: Served, mine: Path) -> None:
+    """FAULT: runs with other gains, and those that turn the other way, stood beside the diagram as if they were its."""
+    with chdir(mine.parent):
+        for name, more in (("other", '--set "controller.KP=14000 A/m"'), ("back", '--set "speed=-1500 rpm"')):
+            speeds = '"-1500 rpm"' if name == "back" else '"1300 rpm" --settle'
+            command = f"record mine.json {more} --speeds {speeds} --out {name}"
+            made = CliRunner().invoke(rotorsim, shlex.split(command))
+            assert made.exit_code == 0, made.output
+    bench = json.loads((mine.parent / "bench" / "recording.json").read_text())
+    [foreign] = json.loads((mine.parent / "other" / "recording.json").read_text())["runs"]
+    [backward] = json.loads((mine.parent / "back" / "recording.json").read_text())["runs"]
+    bench["runs"] += [
+        {**foreign, "id": "stiff", "file": "../other/" + foreign["file"], "set": {"controller.KP": "14000 A/m"}},
+        {**backward, "id": "back", "file": "../back/" + backward["file"]},
+    ]
+    for one in bench["runs"][2:]:  # below the folder of the recording
+        (mine.parent / "bench" / f"{one['id']}.npz").write_bytes((mine.parent / "bench" / one["file"]).read_bytes())
+        one["file"] = f"{one['id']}.npz"
+    (mine.parent / "bench" / "recording.json").write_text(json.dumps(bench))
+
+    async def talking() -> None:
+        page = await opened(at)
+        found = await page.ask(kind="analyse", what="periodic", recording="bench")
+        assert found["title"].endswith("; not drawn: stiff (other controller.KP), back (turning the other way)")
+        assert [row[0] for row in found["rows"] if row[2]] == ["1200", "1500"]
 
     talk(talking)
 
