@@ -95,7 +95,7 @@ def dissolve(data: Mapping[str, Any], name: str, inner: Mapping[str, Any]) -> tu
     for side, ends in outer.get("ports", {}).items():
         for port, written in ends.items():
             known = ports.get(side, {})
-            inside = [end for one in _listed(written) for end in _ends_inside(one, name, known, renamed)]
+            inside = [end for one in listed(written) for end in _ends_inside(one, name, known, renamed)]
             ends[port] = inside[0] if len(inside) == 1 else inside
     folder = PurePosixPath(str(entry.get("file", ""))).parent
     for block in own.values():
@@ -157,7 +157,7 @@ class _Border:
         """Return what a port of the diagram leads to, with a port of the group for ends inside of it."""
         if not is_input:
             return f"{name}.{self.leave(written)}" if isinstance(written, str) and self.has(written) else written
-        ends = [f"{name}.{self.enter(f'port {written}', end)}" if self.has(end) else end for end in _listed(written)]
+        ends = [f"{name}.{self.enter(f'port {written}', end)}" if self.has(end) else end for end in listed(written)]
         ends = list(dict.fromkeys(ends))
         return ends[0] if len(ends) == 1 else ends
 
@@ -167,7 +167,7 @@ class _Border:
             self.inputs[self._entered[source]] = target
         else:
             port = self._entered[source]
-            self.inputs[port] = [*_listed(self.inputs[port]), target]
+            self.inputs[port] = [*listed(self.inputs[port]), target]
         return self._entered[source]
 
     def leave(self, source: str) -> str:
@@ -186,7 +186,8 @@ class _Border:
         return free_name(wanted if wanted not in taken else f"{end.block}_{end.port}", taken)
 
 
-def _listed(written: Any) -> list[Any]:
+def listed(written: Any) -> list[Any]:
+    """Return what a port of a diagram leads to, one end or several, as a list."""
     return list(written) if isinstance(written, list) else [written]
 
 
@@ -223,7 +224,7 @@ def _ends_inside(text: Any, name: str, ports: Mapping[str, Any], renamed: Callab
     if end is None or end.block != name:
         return [text]
     index = text[text.index("[") :] if "[" in text else ""
-    return [_indexed(renamed(one), index) for one in _listed(ports.get(end.port, []))]
+    return [_indexed(renamed(one), index) for one in listed(ports.get(end.port, []))]
 
 
 def _indexed(text: str, index: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 from rotorsim.block import Block
 from rotorsim.diagram import edit
-from rotorsim.diagram.grouping import dissolve, group
+from rotorsim.diagram.grouping import dissolve, group, listed
 from rotorsim.diagram.parse.document import NAME_PATTERN, endpoint, free_name
 from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.registry import Registry
@@ -243,11 +243,11 @@ def _port(document: Document, operation: Operation, editing: Editing) -> Documen
     _block(document, found.block)
     ports = document.setdefault("ports", {})
     ends = ports.setdefault(side, {})
-    named = [port for port, one in ends.items() if end in _listed(one)]
+    named = [port for port, one in ends.items() if end in listed(one)]
     if operation["on"] and not named:
         ends[free_name(found.port, [*ports.get("inputs", {}), *ports.get("outputs", {})])] = end
     for port in [] if operation["on"] else named:
-        _keep_ends(ends, port, [one for one in _listed(ends[port]) if one != end])
+        _keep_ends(ends, port, [one for one in listed(ends[port]) if one != end])
     return _trimmed(document)
 
 
@@ -270,19 +270,15 @@ def _remove(document: Document, operation: Operation, editing: Editing) -> Docum
         document["record"] = [signal for signal in document["record"] if not _is_of(signal, name)]
     for ends in document.get("ports", {}).values():
         for port, end in list(ends.items()):
-            _keep_ends(ends, port, [one for one in _listed(end) if not _is_of(one, name)])
+            _keep_ends(ends, port, [one for one in listed(end) if not _is_of(one, name)])
     return _trimmed(document)
-
-
-def _listed(end: Any) -> list[Any]:
-    return end if isinstance(end, list) else [end]
 
 
 def _keep_ends(ends: Document, port: str, kept: list[Any]) -> None:
     """Leave a port of the diagram what it still leads to, or remove it."""
     if not kept:
         del ends[port]
-    elif kept != _listed(ends[port]):
+    elif kept != listed(ends[port]):
         ends[port] = kept
 
 
