@@ -109,10 +109,10 @@ class Likelihood:
             whitener_of(fit, columns, self.K, self.keep, experiment.resolution, beside=self.beside > 0)
             for fit, columns in zip(experiment.fits, experiment.columns, strict=True)
         ]
-        self.data_rows = self._white(real_columns(self.data[..., None]))[..., 0]
+        self.data_rows = self.white(real_columns(self.data[..., None]))[..., 0]
         self._means: list[np.ndarray] | None = None
 
-    def _white(self, columns: np.ndarray) -> np.ndarray:
+    def white(self, columns: np.ndarray) -> np.ndarray:
         """Return real columns (R, all, j) of each run whitened, (R, n, j)."""
         kept = columns[:, self.keep]
         used = np.flatnonzero(kept.any(axis=(0, 2)))
@@ -158,7 +158,7 @@ class Likelihood:
         derivatives = self._padded(derivatives) * turn[:, :, None, None]
         if self.V:
             derivatives = np.pad(derivatives, ((0, 0), (0, 0), (0, self.V), (0, 0)))
-        return self._together(runs, runs.without(-self._white(real_columns(derivatives))), Y)
+        return self._together(runs, runs.without(-self.white(real_columns(derivatives))), Y)
 
     def _padded(self, harmonics: np.ndarray) -> np.ndarray:
         """Return harmonics (R, K+1 or orders, ...) with nothing on the lines beside them, where there is none."""
@@ -189,7 +189,7 @@ class Likelihood:
         """Whitened change of each run by the common delay of the pulses, one standard deviation, (R, n)."""
         pairs = zip(self.experiment.fits, self.experiment.columns, strict=True)
         stamped = [harmonics_of_time(fit.stamped[: self.K + 1, columns], fit.speed) for fit, columns in pairs]
-        return self._white(real_columns(self._padded(np.array(stamped))[..., None]))[..., 0]
+        return self.white(real_columns(self._padded(np.array(stamped))[..., None]))[..., 0]
 
     def response(self, theta: np.ndarray) -> Response:
         """Return what the equations of a linear diagram say at theta (m,)."""
@@ -202,7 +202,7 @@ class Likelihood:
         """
         response = self.response(theta)
         self.data[:, 1:, : self.c] = response.outputs(response.states())[:, 1:]
-        self.data_rows = self._white(real_columns(self.data[..., None]))[..., 0]
+        self.data_rows = self.white(real_columns(self.data[..., None]))[..., 0]
         return self.evaluate(theta).jacobian
 
     def white_at(self, r: int, order: int, values: np.ndarray) -> np.ndarray:
@@ -227,7 +227,7 @@ class Likelihood:
 
         See `_nuisances`.
         """
-        return self._white(self._nuisances(prediction, Y))
+        return self.white(self._nuisances(prediction, Y))
 
     def _nuisances(self, prediction: Prediction, Y: np.ndarray, known: Sequence[np.ndarray] = ()) -> np.ndarray:
         """Return the columns (R, all, j) of the nuisances at outputs Y (R, orders, c), zero where there is none.
@@ -264,8 +264,8 @@ class Likelihood:
         known: of each run, slow states whose means are given.
         """
         rows = real_columns(np.concatenate([Y, inputs], axis=2)[..., None])
-        e = self.data_rows - self._white(rows)[..., 0]
-        columns = self._white(self._nuisances(prediction, Y, known))
+        e = self.data_rows - self.white(rows)[..., 0]
+        columns = self.white(self._nuisances(prediction, Y, known))
         columns[~prediction.settled] = 0.0
         base, count, gain, best = _best_factors(columns, e)
         widths = [own.shape[-1] for own in prediction.by_means]

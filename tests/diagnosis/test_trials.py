@@ -20,6 +20,7 @@ from rotorsim.diagnosis.search.promises import (
     at_next_places,
     at_other_places,
     at_rival_places,
+    is_beyond,
     likely_of,
     still_likely,
 )
@@ -42,8 +43,8 @@ def test_places_that_allow_ten_times_the_least_are_not_looked_at():
         promises=lambda items: [Promise(bounds[item.spot]) if item.spot in bounds else None for item in items],
     )
     found = [SimpleNamespace(law=("rub", 0), spot=spot) for spot in ("beyond", "far", "near", "unknown")]
-    screening = Screening(SimpleNamespace(costly=False), SimpleNamespace())
-    kept, *_ = screening.screened(left(50.0), found, [], places, None)
+    screening = Screening(SimpleNamespace(costly=False, laws=lambda before: None), SimpleNamespace())
+    kept = screening.screened(left(50.0), found, [], places, None).kept
     assert sorted(kept) == [1, 2, 3]
 
 
@@ -130,15 +131,43 @@ def test_what_can_be_no_rival_of_the_most_promising_is_not_followed():
             return [Fit({}, misfit=job, rows=ROWS, equations=ROWS, goodness=float(job <= 1.1 * ROWS)) for job in given]
 
     jobs = [9e5, 1e3, 8e5, 2e4, 7e5, 6e5]
-    fits = Counted(None, Catalogue(), Jobs(1))._begun(before, jobs, [5e4, 2e3, np.inf, 1e3, 3e4, 4e4])
+
+    def begun(promised: list[float], out: set[int] = frozenset()) -> dict[int, Fit]:
+        asked.clear()
+        known = {k: Promise(misfit) for k, misfit in enumerate(promised) if misfit < np.inf}
+        return Counted(None, Catalogue(), Jobs(1))._begun(before, jobs, range(6), known, lambda k, first: k in out)
+
+    fits = begun([5e4, 2e3, np.inf, 1e3, 3e4, 4e4])
     assert asked == [([2e4, 1e3, 7e5, 6e5], np.inf), ([9e5, 8e5], 1e5)]
-    assert [fit.misfit for fit in fits] == jobs
-    asked.clear()
-    Counted(None, Catalogue(), Jobs(1))._begun(before, jobs, [5e4, np.inf, np.inf, 1e3, 3e4, 4e4])
+    assert {k: fit.misfit for k, fit in fits.items()} == dict(enumerate(jobs))
+    begun([5e4, np.inf, np.inf, 1e3, 3e4, 4e4])
     assert asked == [([2e4, 7e5, 6e5, 9e5], np.inf), ([1e3, 8e5], pytest.approx(1e6 - 0.1 * (1e6 - 2e4)))]
-    asked.clear()
-    Counted(None, Catalogue(), Jobs(1))._begun(before, jobs, [])
+    begun([])
     assert asked == [([], np.inf), (jobs, np.inf)]
+    assert [*begun([], {1, 4})] == [0, 2, 3, 5]
+
+
+def test_laws_that_linear_theory_tells_to_explain_too_little_are_not_fitted():
+    """Exactly: a hundred times the misfit of one that explains the data. Else a tenth of what the best explains.
+
+    Beside a diagram that explains the data, half of the drop that is noticed.
+    """
+    before, good, some = left(1000.0), left(1.0), left(600.0)
+
+    def is_out(misfit: float, fits: list[Fit], *, exact: bool = True, start: Fit = before) -> bool:
+        return is_beyond(Promise(misfit, without=start.misfit, exact=exact), start, fits, 20.0)
+
+    assert not is_beyond(None, before, [good], 20.0)
+    assert [is_out(times * good.misfit, [some, good]) for times in (99.9, 100.1)] == [False, True]
+    for exact, best in ((False, good), (True, left(2.0))):
+        promised = [before.misfit - share * (before.misfit - best.misfit) for share in (0.101, 0.099)]
+        assert [is_out(misfit, [best], exact=exact) for misfit in promised] == [False, True]
+    quiet = left(1.0)
+    for exact in (True, False):
+        out = [is_out(quiet.misfit - drop, [], exact=exact, start=quiet) for drop in (10.1, 9.9)]
+        assert out == [False, True]
+    assert not is_beyond(Promise(0.7 * before.misfit), before, [some], 20.0)  # of all that is left without it
+    assert is_beyond(Promise(0.7 * before.misfit, without=0.71 * before.misfit), before, [some], 20.0)
 
 
 def test_another_measure_of_the_noise_looks_again_at_what_promised_within_ten_times_the_least():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from math import floor, log10
 from typing import Any
 
 import numpy as np
@@ -225,6 +226,13 @@ def limits_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, t
             low = -most if least is None else least if declared.low is not None else least + 1e-3 * (most - least)
             limits[key] = (low, most)
     return limits
+
+
+def scales_of(item: Insertion, start: Mapping[str, float]) -> dict[str, float]:
+    """Return powers of ten below where parameters start that have an open bound: its distance follows their values."""
+    opened = {key: item.kind.parameters[key].above for key in item.fault.free}
+    above = {key: (low, start[key] - low) for key, low in opened.items() if low is not None and start[key] > low}
+    return {key: low + 10.0 ** floor(log10(size)) for key, (low, size) in above.items()}
 
 
 def fixed_of(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, float]:

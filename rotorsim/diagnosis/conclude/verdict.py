@@ -9,18 +9,21 @@ from typing import Any
 import numpy as np
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.diagnosis.catalogue.insertion import Spot
+from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.conclude.result import Effect, untried_of
 from rotorsim.diagnosis.conclude.unknown_force import UnknownForce, unknown_force
-from rotorsim.diagnosis.evidence.evidence import Evidence, Terms
+from rotorsim.diagnosis.evidence.evidence import Evidence, Promise, Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_noise
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass, likely_spots, spots_of
 from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.diagnosis.search.candidates import Candidate, Round
+from rotorsim.diagnosis.search.promises import noticed_from
 from rotorsim.diagnosis.search.selection import Selection, least_gain, likely_places
 from rotorsim.errors import Problem
 
 REJECTED = 12  # hypotheses that are listed
+NEAR_THEORY = "by linear theory its residual variance is {:.3g} times {}"
+BY_THEORY = NEAR_THEORY + ", against {:.3g}"
 
 
 def effects_of(selection: Selection) -> tuple[Effect, ...]:
@@ -196,6 +199,13 @@ def detectable_sizes(selection: Selection) -> dict[str, dict[str, Any]]:
             value = float(np.sqrt(least_gain(item, selection.base, selection.level))) * std
             key = item.parameters[0].rpartition(".")[2]
             out[physics] = {"parameter": key, "value": value, "unit": fit.free[j].unit}
+    for insertion, promise in selection.rounds[0].excluded:
+        key = next(iter(insertion.fault.free), "")
+        std = promise.std.get(key, np.inf)
+        if promise.exact and np.isfinite(std) and std > 0:
+            drop = noticed_from(len(insertion.free), selection.level)
+            size = {"parameter": key, "value": float(np.sqrt(drop)) * std, "unit": insertion.kind.parameters[key].unit}
+            out.setdefault(insertion.physics, size)
     return out
 
 
@@ -211,7 +221,16 @@ def rejected_of(selection: Selection, effects: Sequence[Effect], terms: Terms) -
     for item in selection.first.tried:
         if not item.fit.stopped and item.insertion.physics not in passed and len(out) < REJECTED:
             out.setdefault(item.insertion.physics, _why(item, best, terms))
+    for insertion, promise in _excluded(selection):
+        if insertion.physics not in passed and len(out) < REJECTED:
+            ratio = promise.misfit / max(selection.base.freedom, 1)
+            out.setdefault(insertion.physics, BY_THEORY.format(ratio, terms.noise, best.excess_variance))
     return tuple(out.items())
+
+
+def _excluded(selection: Selection) -> list[tuple[Insertion, Promise]]:
+    """Return what linear theory told to explain too little to be fitted, the nearest first."""
+    return sorted(selection.first.excluded, key=lambda pair: pair[1].misfit)
 
 
 def unfinished(selection: Selection, effects: Sequence[Effect], terms: Terms) -> tuple[tuple[str, str], ...]:
@@ -228,8 +247,14 @@ def unfinished(selection: Selection, effects: Sequence[Effect], terms: Terms) ->
         if item.insertion.physics not in members:
             best.setdefault(item.insertion.physics, item)
     text = "was not fitted to the end; so far its residual variance is {:.3g} times {}"
-    open_ones = ((name, item.fit.excess_variance) for name, item in best.items() if not item.final)
-    return (*((name, text.format(ratio, terms.noise)) for name, ratio in open_ones), *stopped)
+    open_ones = {
+        name: text.format(item.fit.excess_variance, terms.noise) for name, item in best.items() if not item.final
+    }
+    for insertion, promise in _excluded(selection):
+        if not promise.exact and insertion.physics not in members | set(best):
+            ratio = promise.misfit / max(selection.base.freedom, 1)
+            open_ones.setdefault(insertion.physics, f"was not fitted; {NEAR_THEORY.format(ratio, terms.noise)}")
+    return (*open_ones.items(), *stopped)
 
 
 def _why(item: Candidate, best: Fit, terms: Terms) -> str:

@@ -84,14 +84,26 @@ class Unknown:
 class Promise:
     """The misfit that a fault may leave, and from where its parameters are to start, {free parameter: SI value}.
 
-    start: empty where nothing is known of it, so that it begins as declared.
+    start: empty where nothing is known of it, so that it begins as declared. without: what would be left so without it,
+    where that is known. exact: whether a fit leaves that, but for
+    what parameters of the diagram do not do in proportion. std: of the parameters of the fault, where they are known.
     """
 
     misfit: float
     start: Mapping[str, float] = field(default_factory=dict)
+    without: float = np.inf
+    exact: bool = False
+    std: Mapping[str, float] = field(default_factory=dict)
 
 
-class Bounds(Protocol):
+class Promising(Protocol):
+    """What promises something of faults, in a process of its own."""
+
+    def promises(self, items: Sequence[Insertion]) -> list[Promise | None]:
+        """Return the misfit that each insertion can leave, None where nothing is known of it."""
+
+
+class Bounds(Promising, Protocol):
     """What can be known of the misfit beside a fault before it is put in.
 
     by_law: what the law itself promises by linear theory; else a lower bound of what any law at its place can leave.
@@ -116,9 +128,6 @@ class Bounds(Protocol):
     @property
     def carried(self) -> Mapping[str, float]:
         """The largest magnitude of signals as measured outputs show them, by flat name; none where nothing is known."""
-
-    def promises(self, items: Sequence[Insertion]) -> list[Promise | None]:
-        """Return the least misfit that each insertion can leave, None where nothing is known of it."""
 
 
 class Validation(Protocol):
@@ -215,6 +224,9 @@ class Evidence(Protocol):
         better: a fit with more, whose parameters of the diagram are right; of laws they are promises then.
         """
 
+    def laws(self, fit: Fit) -> Promising | None:
+        """Return what laws beside a fit leave by linear theory, None where bounds say that, or nothing does."""
+
     def structure(self, fit: Fit) -> float:
         """Return the share of the residual of a fit that is predictable, and no noise, 0 where it is not asked."""
 
@@ -293,6 +305,10 @@ class Defaults:
 
     def bounds(self, fit: Fit, better: Fit | None = None) -> Bounds | None:
         """Return None: nothing is known of places but by trying them."""
+        return None
+
+    def laws(self, fit: Fit) -> Promising | None:
+        """Return None: nothing is known of laws but what bounds say."""
         return None
 
     def structure(self, fit: Fit) -> float:

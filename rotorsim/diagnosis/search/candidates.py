@@ -10,6 +10,7 @@ import numpy as np
 
 from rotorsim.criteria import Z90
 from rotorsim.diagnosis.catalogue.insertion import Insertion
+from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 
@@ -92,7 +93,7 @@ class Round:
     hypotheses: how many, physics and places, were looked at, with those of which too little was promised to try them.
     elsewhere: what was not tried, and promises nearly as much as the same law does at its best place; untried: all that
     was not, where promises of laws are known. likely: the keys of what another measure of the noise may make the most
-    promising, None where promises are not known.
+    promising, None where promises are not known. excluded: what leaves too much by linear theory of its law.
     """
 
     before: Fit
@@ -102,6 +103,7 @@ class Round:
     elsewhere: tuple[tuple[Insertion, Job], ...] = ()
     untried: tuple[tuple[Insertion, Job], ...] = ()
     likely: frozenset[str] | None = None
+    excluded: tuple[tuple[Insertion, Promise], ...] = ()
 
     @property
     def best(self) -> Candidate | None:

@@ -6,6 +6,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from math import isclose
 
+from scipy.stats import chi2
+
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Law
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
@@ -25,6 +28,8 @@ SAME_PROMISE = 1e-6  # relative: what promises so nearly the same beside a fit d
 RIVALS, RIVALS_OF_LAW = 8, 3  # that are tried beside the best fit at once, and of one law at different places
 UNLIKELY = 10.0  # times the least promise, or fit, of a round: beyond, a law is not looked at with another noise
 NEXT_CLASSES, NEXT_LAWS = 3, 6  # of places, and of laws at each, that are fitted where a round explains less than half
+RIVAL_MISFIT = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
+STARTED = 0.1  # share of what the best explains: a law that explains less is no rival of it
 PROMISED = 3.0  # times the least misfit that is promised: within, each law is fitted at its best place
 
 
@@ -146,6 +151,32 @@ def at_other_places(
                 seen.append(known[k])
         others += chosen
     return others
+
+
+def is_beyond(promise: Promise | None, before: Fit, fits: Sequence[Fit], noticed: float) -> bool:
+    """Return whether a law explains too little by linear theory to be a rival of those that were fitted first.
+
+    noticed: drop of the misfit from which on a law is noticed beside a diagram that explains the data.
+    """
+    if promise is None:
+        return False
+    drop = min(promise.without, before.misfit) - promise.misfit
+    if is_adequate(before):
+        return NEAR_PROMISE * drop < noticed
+    least = min((fit.misfit for fit in fits if not fit.failure), default=before.misfit)
+    if promise.exact and any(map(is_adequate, fits)):
+        return promise.misfit > RIVAL_MISFIT * least
+    return drop < STARTED * (before.misfit - least)
+
+
+def noticed_from(unknowns: int, level: float) -> float:
+    """Return the drop of the misfit that noise alone makes by so many unknowns with probability level."""
+    return float(chi2.isf(level, max(unknowns, 1)))
+
+
+def level_of(hypotheses: int) -> float:
+    """Return the probability of a false alarm for each of so many hypotheses."""
+    return CRITERIA.false_alarm / max(hypotheses, 1)
 
 
 def misfit_of(promise: Promise | None) -> float | None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,11 +24,29 @@ HINT = 0.3  # drop of the misfit for each parameter, with data that are explaine
 
 
 @dataclass(frozen=True, eq=False)
+class Screened:
+    """kept: the insertions that are fitted. promises: of each insertion; near: so where that tells places apart.
+
+    laws: what insertions leave by linear theory of their laws, of those where that is known.
+    """
+
+    kept: list[int]
+    promises: Sequence[Promise | None]
+    near: Sequence[Promise | None]
+    laws: Mapping[int, Promise] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
 class Screening:
     """What evidence promises of insertions, and which of them are worth a fit."""
 
     evidence: Evidence
     work: Work
+
+    def all(self, before: Fit, candidates: Sequence[Insertion]) -> Screened:
+        """Return all insertions, with what their laws leave."""
+        unknown, every = [None] * len(candidates), [*range(len(candidates))]
+        return Screened(every, unknown, unknown, self._laws(before, candidates, every))
 
     def screened(
         self,
@@ -37,15 +55,19 @@ class Screening:
         jobs: Sequence[Job],
         places: Bounds | None,
         earlier: Round | None,
-    ) -> tuple[list[int], Sequence[Promise | None], Sequence[Promise | None]]:
-        """Return which insertions are fitted, what each promises, and so where that tells places of a law apart.
+    ) -> Screened:
+        """Return which insertions are fitted, and what they promise.
 
         Of an earlier round from here only those that were likely are looked at.
         """
         unknown: list[Promise | None] = [None] * len(candidates)
         by_law = places is not None and places.by_law
         if not by_law and not self.evidence.costly:
-            return self._at_likely_places(before, candidates, jobs, places), unknown, unknown
+            if is_adequate(before):
+                laws = self._laws(before, candidates, range(len(candidates)))
+                return Screened(self._promising(candidates, jobs, before.misfit, laws), unknown, unknown, laws)
+            kept = self._at_likely_places(candidates, jobs, places)
+            return Screened(kept, unknown, unknown, self._laws(before, candidates, kept))
         known = None if earlier is None else earlier.likely
         likely = [k for k, item in enumerate(candidates) if known is None or item.key in known]
         promises: list[Promise | None] = [Promise(np.inf)] * len(candidates)
@@ -56,7 +78,15 @@ class Screening:
         for k, one in zip(likely, found, strict=True):
             promises[k] = one
         kept = most_promising(candidates, [misfit_of(one) for one in promises], before)
-        return kept, promises, unknown if self.evidence.costly else promises
+        return Screened(kept, promises, unknown if self.evidence.costly else promises)
+
+    def _laws(self, before: Fit, candidates: Sequence[Insertion], which: Sequence[int]) -> dict[int, Promise]:
+        """Return what some insertions leave by linear theory of their laws, of those where that is known."""
+        laws = self.evidence.laws(before)
+        if laws is None:
+            return {}
+        found = self.work.promises_of_laws([candidates[k] for k in which], laws, self.work.jobs.processes)
+        return {k: one for k, one in zip(which, found, strict=True) if one is not None}
 
     def _by_sensitivities(self, before: Fit, jobs: Sequence[Job]) -> list[Promise | None]:
         """Return what laws promise by their sensitivities, beside what the diagram without them does."""
@@ -66,14 +96,12 @@ class Screening:
         return [None if one is None else Promise(before.misfit - (one if one > least else 0.0)) for one in known]
 
     def _at_likely_places(
-        self, before: Fit, candidates: Sequence[Insertion], jobs: Sequence[Job], places: Bounds | None
+        self, candidates: Sequence[Insertion], jobs: Sequence[Job], places: Bounds | None
     ) -> list[int]:
         """Return which insertions are fitted where places are many: each law at its best place, then the best places.
 
         A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
         """
-        if is_adequate(before):
-            return self._promising(candidates, jobs, before.misfit - HINT * MOST_FITS)
         if places is None:
             return self._promising(candidates, jobs)
         with one_thread():
@@ -95,12 +123,22 @@ class Screening:
             kept += here
         return kept
 
-    def _promising(self, candidates: Sequence[Insertion], jobs: Sequence[Job], most: float = np.inf) -> list[int]:
-        """Return the best place of each law, and the next best below ``most``, by what one step promises.
+    def _promising(
+        self,
+        candidates: Sequence[Insertion],
+        jobs: Sequence[Job],
+        before: float = np.inf,
+        laws: Mapping[int, Promise] | None = None,
+    ) -> list[int]:
+        """Return the best place of each law, and the next best that promise a drop of the misfit before, by one step.
 
         Where that is not known of any place of a law (NaN), one is fitted all the same: what fails there is said.
         """
-        promises = np.array(self.work.promises(jobs))
+        most, laws = before - HINT * MOST_FITS, laws or {}
+        others = [k for k in range(len(jobs)) if k not in laws]
+        promises = np.zeros(len(jobs))
+        promises[[*laws]] = [one.misfit for one in laws.values()]
+        promises[others] = self.work.promises([jobs[k] for k in others])
         order = np.argsort(promises, kind="stable")
         seen: set[Law] = set()
         first: list[int] = []

@@ -17,6 +17,7 @@ from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_noise
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import SAME, Candidate, Round
+from rotorsim.diagnosis.search.promises import level_of, noticed_from
 from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs, local_workers
@@ -299,7 +300,7 @@ def _reconsidered(
 def _level(found: Round) -> float:
     """Return the probability of a false alarm that one of the candidates of a round may take up."""
     tried = {(item.insertion.physics, item.insertion.spot) for item in found.tried if not item.fit.failure}
-    return CRITERIA.false_alarm / max(len(tried), found.hypotheses, 1)
+    return level_of(max(len(tried), found.hypotheses))
 
 
 def least_gain(item: Candidate, base: Fit, level: float) -> float:
@@ -308,7 +309,7 @@ def least_gain(item: Candidate, base: Fit, level: float) -> float:
     A nonlinear law has one more: where it begins to act is chosen, too.
     """
     more = len(item.fit.free) - len(base.free) + max(item.fit.nuisances - base.nuisances, 0) + item.fit.nonlinear
-    return float(chi2.isf(level, max(more, 1)))
+    return noticed_from(more, level)
 
 
 def _share(after: Fit, before: Fit) -> float:

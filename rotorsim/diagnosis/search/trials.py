@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -21,7 +21,7 @@ from rotorsim.diagnosis.catalogue.insertion import (
     starts_of,
 )
 from rotorsim.diagnosis.catalogue.values import structure_of, values_in
-from rotorsim.diagnosis.evidence.evidence import Evidence
+from rotorsim.diagnosis.evidence.evidence import Evidence, Promise
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass, likely_spots
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
@@ -30,12 +30,17 @@ from rotorsim.diagnosis.search.promises import (
     NEAR_PROMISE,
     NEARLY,
     NEXT_CLASSES,
+    RIVAL_MISFIT,
+    STARTED,
     as_promising,
     at_likely_places,
     at_next_places,
     at_other_places,
     at_rival_places,
+    is_beyond,
+    level_of,
     likely_of,
+    noticed_from,
     still_likely,
 )
 from rotorsim.diagnosis.search.screening import HINT, MOST_FITS, Screening
@@ -51,9 +56,7 @@ LAST_EVALUATIONS = 3  # where the data are explained already, and only rivals ar
 SECOND_STAGE_FITS = 8  # nonlinear fits that get as far as the second
 REFINED = 3  # fits carried to the end at least
 PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
-STARTED = 0.1  # share of what the best explains: of nonlinear laws below, SECOND_EVALUATIONS are the last
 RESTART = 0.1  # of its scale: how far off a bound a parameter of the diagram begins again
-RIVAL_MISFIT = 100.0  # times the misfit of one that explains the data: beyond, no rival of it will
 
 
 class Trials:
@@ -98,18 +101,25 @@ class Trials:
             if not before.nonlinear:  # else it costs too much to begin once more from values as given
                 groups.append([{**self.nominal, **away, **start} for start in here])
             jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
+        screening = Screening(self.evidence, self.work)
+        screened = screening.screened(before, found, jobs, places, earlier) if many else screening.all(before, found)
+        level = level_of(hypotheses)
+
+        def is_out(k: int, first: Sequence[Fit]) -> bool:
+            return is_beyond(screened.laws.get(k), before, first, noticed_from(len(found[k].free), level))
+
         if many:
             classes = () if places is None else places.classes
-            kept, every, promises = Screening(self.evidence, self.work).screened(before, found, jobs, places, earlier)
-            likely = likely_of(found, every, before)
+            kept, promises = screened.kept, screened.near
+            likely = likely_of(found, screened.promises, before)
             kept += [k for k, item in enumerate(found) if item.key in again and k not in kept]
             known = [{} if one is None else dict(one.start) for one in promises]
             jobs = [
                 (start, _led(groups, again.get(item.key) or near))
                 for item, (start, groups), near in zip(found, jobs, known, strict=True)
             ]
-            promised = [np.inf if (one := promises[k]) is None else one.misfit for k in kept]
-            begun = dict(zip(kept, self._begun(before, [jobs[k] for k in kept], promised), strict=True))
+            promised = {k: one for k in kept if (one := screened.laws.get(k) or promises[k]) is not None}
+            begun = self._begun(before, jobs, kept, promised, is_out)
             beyond = _beyond(before, [*begun.values()])
             effort = Effort(FIRST_EVALUATIONS, linear_only=True, beyond=beyond, lost=False)
             unsure = () if places is None or places.sure or is_adequate(before) else classes
@@ -120,19 +130,20 @@ class Trials:
                 begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
             others = at_other_places(found, promises, before, begun)
             begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
-            fits = [*begun.values()]
             elsewhere = [(found[k], jobs[k]) for k in at_rival_places(found, promises, before, [*begun])]
             left = [k for k, one in enumerate(promises) if one is not None and k not in begun]
             untried = [(found[k], jobs[k]) for k in left]
-            jobs, found = [jobs[k] for k in begun], [found[k] for k in begun]
         else:
-            fits = self._begun(before, jobs, ())
-        self.counts["fits"] += len(found)
-        later = [k for k, fit in enumerate(fits) if fit.failure == DEFERRED]
-        explained = is_adequate(before) or any(is_adequate(fit) for fit in fits)
+            begun = self._begun(before, jobs, screened.kept, screened.laws, is_out)
+        first = [*begun.values()]
+        later = [k for k, fit in begun.items() if fit.failure == DEFERRED and not is_out(k, first)]
+        begun = {k: fit for k, fit in begun.items() if fit.failure != DEFERRED or k in later}
+        explained = is_adequate(before) or any(is_adequate(fit) for fit in first)
         more = self._fit([jobs[k] for k in later], Effort(LAST_EVALUATIONS if explained else FIRST_EVALUATIONS))
-        for k, fit in zip(later, more, strict=True):
-            fits[k] = fit
+        begun |= zip(later, more, strict=True)
+        excluded = tuple((found[k], one) for k, one in screened.laws.items() if k not in begun)
+        fits, jobs, found = [*begun.values()], [jobs[k] for k in begun], [found[k] for k in begun]
+        self.counts["fits"] += len(found)
         fits, ended = self._refined(before, jobs, fits, [item.law for item in found])
         found, fits = self._finer(before, found, fits)
         tried = [
@@ -143,7 +154,8 @@ class Trials:
         untried = [pair for pair in untried if pair[0].key not in {item.insertion.key for item in tried}]
         likely = None if likely is None else still_likely(likely, tried)
         ordered = tuple(simplest_first(tried, self.slack))
-        return self._kept(Round(before, ordered, tuple(classes), hypotheses, tuple(elsewhere), tuple(untried), likely))
+        places_of = tuple(classes), hypotheses, tuple(elsewhere), tuple(untried), likely
+        return self._kept(Round(before, ordered, *places_of, excluded))
 
     def _kept(self, found: Round) -> Round:
         self.rounds[structure_of(found.before.document)] = found
@@ -239,21 +251,27 @@ class Trials:
                 found[item.name] = float(np.clip(self.nominal[item.name], item.low + off, item.high - off))
         return found
 
-    def _begun(self, before: Fit, jobs: Sequence[Job], promised: Sequence[float]) -> list[Fit]:
+    def _begun(
+        self,
+        before: Fit,
+        jobs: Sequence[Job],
+        kept: Sequence[int],
+        promised: Mapping[int, Promise],
+        is_out: Callable[[int, Sequence[Fit]], bool],
+    ) -> dict[int, Fit]:
         """Return first fits; where one of the most promising explains the data, no others that never will are followed.
 
-        Of those that have lost the motion only the most promising are begun with short parts of the runs. promised:
-        misfits, where something is known of them.
+        Of those that have lost the motion only the most promising are begun with short parts of the runs. kept: what is
+        fitted; promised: where something is known of it. is_out: what is not fitted beside the most promising.
         """
-        known = [k for k, misfit in enumerate(promised) if misfit < np.inf]
-        order = sorted(known, key=lambda k: promised[k])[:MOST_PROMISING]
-        first = self._fit([jobs[k] for k in order], Effort(FIRST_EVALUATIONS, linear_only=True))
-        fits = dict(zip(order, first, strict=True))
-        others = [k for k in range(len(jobs)) if k not in fits]
-        effort = Effort(FIRST_EVALUATIONS, linear_only=True, beyond=_beyond(before, first), lost=not known)
+        known = [k for k in kept if k in promised and promised[k].misfit < np.inf]
+        order = sorted(known, key=lambda k: promised[k].misfit)[:MOST_PROMISING]
+        first = self._fit([jobs[k] for k in order], Effort(FIRST_EVALUATIONS))
+        others = [k for k in kept if k not in order and not is_out(k, first)]
+        most = LAST_EVALUATIONS if promised and any(map(is_adequate, first)) else FIRST_EVALUATIONS
+        effort = Effort(most, linear_only=True, beyond=_beyond(before, first), lost=not known)
         rest = self._fit([jobs[k] for k in others], effort)
-        fits |= dict(zip(others, rest, strict=True))
-        return [fits[k] for k in range(len(jobs))]
+        return dict(zip([*order, *others], [*first, *rest], strict=True))
 
     def _fit(self, jobs: Sequence[Job], effort: Effort) -> list[Fit]:
         return self.work.fits(jobs, effort)

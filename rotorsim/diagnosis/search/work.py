@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Law
-from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
+from rotorsim.diagnosis.evidence.evidence import Evidence, Promise, Promising
 from rotorsim.diagnosis.evidence.fit import Effort, Fit, fit_from_plain, fit_to_plain
 from rotorsim.diagnosis.search.candidates import Job
 from rotorsim.diagram.resolve.registry import is_built_in
@@ -30,25 +30,28 @@ class Work:
     evidence: Evidence
     jobs: Jobs
 
-    def promises_of_laws(self, candidates: Sequence[Insertion], places: Bounds) -> list[Promise | None]:
+    def promises_of_laws(
+        self, candidates: Sequence[Insertion], places: Promising, batches: int = 0
+    ) -> list[Promise | None]:
         """Return what laws promise, shared out over all workers, all places of a law together.
 
-        Blocks of the user are not known there.
+        Blocks of the user are not known there. batches: how many (default: BATCHES for every process).
         """
         of_law: dict[Law, list[int]] = {}
         for k, item in enumerate(candidates):
             of_law.setdefault(item.law if is_built_in(item.kind) else ("", 0, False), []).append(k)
         here = of_law.pop(("", 0, False), [])
-        batches: list[list[int]] = [[] for _ in range(min(len(of_law), BATCHES * self.jobs.processes))]
+        count = batches or BATCHES * self.jobs.processes
+        shared: list[list[int]] = [[] for _ in range(min(len(of_law), count))]
         for which in sorted(of_law.values(), key=len, reverse=True):
-            min(batches, key=len).extend(which)
-        arguments = [([candidates[k] for k in batch], places) for batch in (*batches, here)]
+            min(shared, key=len).extend(which)
+        arguments = [([candidates[k] for k in batch], places) for batch in (*shared, here)]
         given = [*run_jobs(_promised_batch, arguments[:-1], jobs=self.jobs), _promised_batch(arguments[-1])]
         given = [_heard_of(answer) for answer in given]
         found: list[Promise | None] = [None] * len(candidates)
-        for batch, promises in zip((*batches, here), given, strict=True):
+        for batch, promises in zip((*shared, here), given, strict=True):
             for k, one in zip(batch, promises, strict=True):
-                found[k] = None if one is None else Promise(*one)
+                found[k] = None if one is None else Promise(**one)
         return found
 
     def promises(self, jobs: Sequence[Job]) -> list[float]:
@@ -115,10 +118,10 @@ def _promise_batch(argument: tuple[list[Job], Evidence]) -> Answer:
     return _each(promise, batch)
 
 
-def _promised_batch(argument: tuple[list[Insertion], Bounds]) -> Answer:
+def _promised_batch(argument: tuple[list[Insertion], Promising]) -> Answer:
     items, places = argument
     answer = _each(places.promises, [items])
-    promised = (None if one is None else (one.misfit, dict(one.start)) for one in answer["found"][0])
+    promised = (None if one is None else asdict(one) for one in answer["found"][0])
     return {**answer, "found": [*promised]}
 
 

@@ -246,9 +246,9 @@ def test_every_law_is_fitted_at_its_best_place_however_many_places_there_are(mon
     items += [("seal", node, 6e4 + node) for node in range(100)]
     found = [SimpleNamespace(physics=p, law=(p, 0), node=node, left=left) for p, node, left in items]
     places = SimpleNamespace(by_law=False, promises=lambda items: [Promise(item.left) for item in items])
-    screening = Screening(SimpleNamespace(costly=False), SimpleNamespace())
+    screening = Screening(SimpleNamespace(costly=False, laws=lambda before: None), SimpleNamespace())
     before = Fit({}, misfit=1e8, rows=9, equations=9)
-    kept, *_ = screening.screened(before, found, [({}, [])] * len(found), places, None)
+    kept = screening.screened(before, found, [({}, [])] * len(found), places, None).kept
     told = {(found[k].physics, found[k].node) for k in kept}
     assert told == {("second_crack", 2), ("rub", 4), ("runout", 1), ("seal", 0)}
     assert len(kept) == len(told)

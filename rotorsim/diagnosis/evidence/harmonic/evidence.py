@@ -16,6 +16,7 @@ from rotorsim.diagnosis.evidence.fit import FAILURES, TO_THE_END, Effort, Fit, S
 from rotorsim.diagnosis.evidence.harmonic.bounds import LowerBounds, open_bounds
 from rotorsim.diagnosis.evidence.harmonic.fitting import fit_document, promise_of
 from rotorsim.diagnosis.evidence.harmonic.force import unknown_force
+from rotorsim.diagnosis.evidence.harmonic.laws import LawsBeside
 from rotorsim.diagnosis.evidence.harmonic.residual import is_force, residual_place
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns, has_mesh
 from rotorsim.diagnosis.evidence.harmonic.scoring import held_score, left_out_score, predict, standardised
@@ -65,6 +66,10 @@ class HarmonicEvidence(HarmonicRuns, Validated):
     def bounds(self, fit: Fit, better: Fit | None = None) -> LowerBounds | None:
         """Return lower bounds of the misfit for every place, see `open_bounds`; none of laws, beside a better fit."""
         return open_bounds(fit, self) if better is None else None
+
+    def laws(self, fit: Fit) -> LawsBeside | None:
+        """Return what laws beside a fit of a linear diagram leave by linear theory."""
+        return None if fit.nonlinear else LawsBeside(self, fit)
 
     def separation(self, first: Fit, second: Fit) -> Change | None:
         """Return the speed or gain that separates two hypotheses most; see `best_change`."""

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import floor, isclose, log10
+from math import isclose
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,7 @@ from rotorsim.diagnosis.catalogue.insertion import (
     Spot,
     fixed_of,
     limits_of,
+    scales_of,
     sizes_at,
     starts_of,
 )
@@ -57,13 +58,6 @@ WEAKER = 0.1  # times the strength of the likeliest free signal: beside the law,
 POSSIBLE = 10.0  # times the misfit of the best free signal, or of noise: beyond, a place is not looked at
 WORTH = 10.0  # fall of the misfit by the shape alone, from which on a law is fitted
 PAIRS = 12  # of place and other signal at which a nonlinear law is fitted: the best by its shape as it starts
-
-
-def _scales(item: Insertion, start: Mapping[str, float]) -> dict[str, float]:
-    """Return powers of ten below where parameters start that have an open bound: its distance follows their values."""
-    opened = {key: item.kind.parameters[key].above for key in item.fault.free}
-    above = {key: (low, start[key] - low) for key, low in opened.items() if low is not None and start[key] > low}
-    return {key: low + 10.0 ** floor(log10(size)) for key, (low, size) in above.items()}
 
 
 def spot_of(place: Place) -> Spot:
@@ -197,7 +191,7 @@ class LawBounds:
             return None
         sizes = sizes_at(item, self.sizes)
         given = starts_of(item, sizes)
-        law = self._law(item, {**_scales(item, given[0]), **fixed_of(item, sizes)}, limits_of(item, sizes))
+        law = self._law(item, {**scales_of(item, given[0]), **fixed_of(item, sizes)}, limits_of(item, sizes))
         starts = [np.array([start[key] for key in item.fault.free]) for start in given]
         first, factor = self._proportional[place] if item.depends_on and item.fault.adds else (place, 1.0)
         return _Placed(item, law, (place, *others), starts, (item.law, item.depends_on, first), factor)

@@ -1,0 +1,182 @@
+"""What laws promise beside a fit of harmonics: closed forms of one law alone, and what fits of the diagram leave."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
+from rotorsim.diagnosis.evidence.harmonic.laws import LawsBeside, _Beside
+from rotorsim.diagnosis.evidence.harmonic.periodic_law import PeriodicLaw
+from rotorsim.diagnosis.evidence.harmonic.placed_law import PlacedLaw
+from rotorsim.diagnosis.search.promises import NEAR_PROMISE
+from rotorsim.fault import Fault
+from tests.diagnosis.test_places import concealing, fitted, healthy, items
+from tests.identification import shipped
+
+BOW, GAIN = "residual_bow/0@rotor.force[4]", "sensor_gain/0@rotor.displacement[2]"
+SPEEDS = np.array([100.0, 250.0])
+N, K = 64, 5
+TIMES = 2 * np.pi / SPEEDS[:, None] * np.arange(N) / N
+ANGLE = SPEEDS[:, None] * TIMES
+
+
+@cache
+def beside_healthy() -> tuple[dict[str, Insertion], _Beside]:
+    source, base = healthy()
+    every = items(source, base)
+    return every, _Beside(source, base, [*every.values()])
+
+
+def alone(key: str, fixed: dict[str, float] | None = None) -> tuple[PeriodicLaw, PlacedLaw]:
+    beside = beside_healthy()[1]
+    one = beside.laws[key]
+    law = beside._law(one, fixed or {}, {})
+    assert law is not None
+    return law, one
+
+
+def test_a_law_without_states_adds_its_harmonics_and_their_derivatives():
+    """f = -k r^2 x along an ellipse x = a cos, y = b sin: of x the orders 1 and 3."""
+    law, _ = alone("cubic_stiffness/0@rotor.force[3]")
+    a, b, k = 2e-5, 1e-5, 3e12
+    signals = np.stack([a * np.cos(ANGLE), b * np.sin(ANGLE)], axis=2)
+    found = law.added(np.array([k]), TIMES, signals, SPEEDS, K)
+    first, third = -k * a * (3 * a**2 + b**2) / 8, -k * a * (a**2 - b**2) / 8
+    expected = np.zeros(K + 1)
+    expected[[1, 3]] = first, third
+    np.testing.assert_allclose(found[:, :, 0, 0], [expected] * 2, atol=1e-12 * abs(first))
+    np.testing.assert_allclose(found[:, :, 0, 1], [expected / k] * 2, atol=1e-12 * abs(first / k))
+
+
+def test_a_law_with_states_adds_what_its_frequency_response_says():
+    """A lag in a wire, y' = w (u - y): it adds u (H - 1), H = w / (w + i k W), and by w  i k W / (w + i k W)^2."""
+    law, one = alone("amplifier_bandwidth/0@amb.current")
+    assert one.moved == (("amb.current[1]",), ("amb.current[2]",))
+    w = 700.0
+    signals = np.stack([0.3 + np.cos(ANGLE + 0.2), 0.5 * np.sin(2 * ANGLE)], axis=2)
+    found = law.added(np.array([w]), TIMES, signals, SPEEDS, K)
+    u = np.zeros((2, K + 1, 2), complex)
+    u[:, 0, 0], u[:, 1, 0], u[:, 2, 1] = 0.3, 0.5 * np.exp(0.2j), -0.25j
+    s = 1j * SPEEDS[:, None, None] * np.arange(K + 1)[:, None]
+    np.testing.assert_allclose(found[..., 0], u * (w / (w + s) - 1), atol=1e-12)
+    np.testing.assert_allclose(found[..., 1], u * s / (w + s) ** 2, atol=1e-15)
+
+
+def test_factors_that_change_in_a_turn_are_refused():
+    """Hysteretic damping by a Fourier filter of the speed: settled at a constant one, and of no other."""
+    law, one = alone("hysteretic_damping/0@rotor.force[3]")
+    signals = np.zeros((2, N, len(one.sources)))
+    signals[:, :, -1] = SPEEDS[:, None]
+    assert np.isfinite(law.added(np.array([0.1]), TIMES, signals, SPEEDS, K)).all()
+    signals[:, :, -1] += np.sin(ANGLE)
+    with pytest.raises(np.linalg.LinAlgError, match="factors change in a turn"):
+        law.added(np.array([0.1]), TIMES, signals, SPEEDS, K)
+
+
+def test_a_block_in_its_own_place_adds_nothing():
+    """Whatever drives it: what is added is what it gives less what was given there."""
+    kind = type(shipped("fe_rigid").nodes["amb"].block)
+    item = Insertion(kind, Fault(physics="same", enters="replace"), Spot("amb", "force"), "amb")
+    source, base = healthy()
+    beside = _Beside(source, base, [item])
+    one = beside.laws[item.key]
+    assert one.moved == (("rotor.force[3,1]",), ("rotor.force[3,2]",))
+    assert one.sources[-2:] == ["amb.force[1]", "amb.force[2]"]
+    law = beside._law(one, {}, {})
+    signals = beside._signals(one)
+    assert law is not None
+    assert signals is not None
+    found = law.added(np.zeros(0), beside.times, signals, beside.motion.speeds, beside.K)
+    given = np.abs(signals[:, :, -2:]).max()
+    assert given > 0
+    assert np.abs(found).max() < 1e-12 * given
+
+
+def test_a_block_that_runs_set_is_left_to_fits():
+    """Its law is one for all runs here: beside other gains in some, nothing is said of another controller."""
+    source, base = healthy()
+    kind = type(shipped("fe_rigid").nodes["controller"].block)
+    item = Insertion(kind, Fault(physics="same", enters="replace"), Spot("controller", "current"), "controller")
+    assert LawsBeside(source, base).promises([item]) == [None]
+
+
+def test_what_only_adds_is_placed_and_what_changes_more_is_not():
+    every, beside = beside_healthy()
+    bow = beside.laws[BOW]
+    assert (bow.moved, bow.read, bow.taken) == ((("rotor.force[4,1]",), ("rotor.force[4,2]",)), ((), ()), ("", ""))
+    gain = beside.laws[GAIN]
+    readings = ("rotor.displacement[2,1]", "rotor.displacement[2,2]")
+    assert (gain.moved, gain.read, gain.taken) == (((), ()), tuple((name,) for name in readings), readings)
+    left_out = {item.fault.enters for key, item in every.items() if key not in beside.laws}
+    turned = {key for key, item in every.items() if key not in beside.laws and item.fault.enters == "wire"}
+    assert left_out == {"move", "wire"}
+    assert {key.partition("/")[0] for key in turned} == {"speed_fluctuation", "torsion_coupling"}
+
+
+LAWS = (
+    "residual_bow/0",
+    "unbalance_elsewhere/0",
+    "anisotropic_support/0",
+    "second_crack/0",
+    "parallel_misalignment/2",
+    "sensor_gain/0",
+    "runout/4",
+    "seal_cross_coupling/1",
+)
+
+
+@pytest.mark.parametrize("hidden", [BOW, GAIN])
+def test_laws_promise_what_their_fits_leave(hidden):
+    """What they explain is told to a factor of NEAR_PROMISE wherever they are, and to 1 % of the one that is hidden."""
+    source, base, _ = concealing(hidden)
+    every = items(source, base)
+    chosen = [every[f"{law}@{spot}"] for law in LAWS for spot in spots(law) if f"{law}@{spot}" in every]
+    assert len(chosen) > 2 * len(LAWS)
+    promised = LawsBeside(source, base).promises(chosen)
+    for item, one in zip(chosen, promised, strict=True):
+        assert one is not None
+        assert one.exact
+        drop, told = base.misfit - fitted(source, base, item).misfit, one.without - one.misfit
+        if drop > 1:
+            assert 1 / NEAR_PROMISE < told / drop < NEAR_PROMISE, item.key
+        if item.key == hidden:
+            assert told == pytest.approx(drop, rel=0.01)
+            assert one.misfit < 1.1 * base.rows < 0.2 * one.without
+
+
+def spots(law: str) -> list[str]:
+    port = "displacement" if law.startswith(("sensor", "runout")) else "force"
+    return [f"rotor.{port}[{node}]" for node in (2, 4, 5)]
+
+
+def test_nothing_is_promised_where_nothing_is_hidden():
+    """No law drops the misfit by more than noise does with probability 1e-6, of some 200 that are tried."""
+    source, base = healthy()
+    every = {key: item for key, item in items(source, base).items() if not (item.from_lines or item.read_off)}
+    promised = LawsBeside(source, base).promises([*every.values()])
+    known = [(item, one) for item, one in zip(every.values(), promised, strict=True) if one is not None]
+    assert len(known) > 0.9 * len(every)
+    for item, one in known:
+        drop = one.without - one.misfit
+        assert drop < 28 + 6 * len(item.free), item.key  # chi-squared of 2 (28) to 12 (53) unknowns at 1e-6
+
+
+def test_sizes_that_would_have_been_seen_follow_from_promises():
+    """The deviation of a size at a place, with the diagram free, is that of its fit."""
+    source, base, _ = concealing(GAIN)
+    item = items(source, base)[GAIN]
+    [one] = LawsBeside(source, base).promises([item])
+    fit = fitted(source, base, item)
+    j = [free.name for free in fit.free].index("sensor_gain.gain_error")
+    assert one is not None
+    assert one.std["gain_error"] == pytest.approx(np.sqrt(fit.covariance[j, j]), rel=0.01)
+
+
+def test_beside_a_nonlinear_diagram_nothing_is_known():
+    source, base = healthy()
+    assert source.laws(replace(base, nonlinear=True)) is None
+    every = items(source, base)
+    without = replace(base, document={**base.document, "identify": {}})
+    assert LawsBeside(source, without).promises([every[BOW]]) == [None]
