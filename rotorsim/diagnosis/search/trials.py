@@ -10,16 +10,7 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
-from rotorsim.diagnosis.catalogue.insertion import (
-    LINES,
-    STARTS_TRIED,
-    Insertion,
-    Law,
-    fixed_of,
-    limits_of,
-    sizes_at,
-    starts_of,
-)
+from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, Law
 from rotorsim.diagnosis.catalogue.values import structure_of, values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence, Promise
 from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate
@@ -44,19 +35,18 @@ from rotorsim.diagnosis.search.promises import (
     still_likely,
 )
 from rotorsim.diagnosis.search.screening import HINT, MOST_FITS, Screening
+from rotorsim.diagnosis.search.starts import jobs_of, led, off_bounds
 from rotorsim.diagnosis.search.work import Work
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs
 from rotorsim.jobs.threads import one_thread
 
-DECLARED = 2  # starts of a law that are tried beside one that is known to be near
 AGAIN = 8  # of the best of an earlier round
 FIRST_EVALUATIONS, SECOND_EVALUATIONS = 5, 15  # of a nonlinear diagram, before it is judged whether it is worth more
 LAST_EVALUATIONS = 3  # where the data are explained already, and only rivals are looked for
 SECOND_STAGE_FITS = 8  # nonlinear fits that get as far as the second
 REFINED = 3  # fits carried to the end at least
 PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
-RESTART = 0.1  # of its scale: how far off a bound a parameter of the diagram begins again
 
 
 class Trials:
@@ -87,20 +77,13 @@ class Trials:
         many = len(found) > MOST_FITS or self.evidence.costly or any(item.fault.enters == "signal" for item in found)
         places = self.evidence.bounds(before) if many else None
         largest = {**largest, **({} if places is None else places.carried)}
-        jobs = []
-        away = self._off_bounds(before)
+        away = off_bounds(before, self.nominal)
+        # of a nonlinear diagram it costs too much to begin once more from values as given
+        jobs = jobs_of(found, document, largest, away, None if before.nonlinear else {**self.nominal, **away})
         classes: Sequence[PlaceClass] = ()
         elsewhere: list[tuple[Insertion, Job]] = []
         untried: list[tuple[Insertion, Job]] = []
         likely: frozenset[str] | None = None
-        for item in found:
-            sizes = sizes_at(item, largest)
-            starts, fixed = starts_of(item, sizes), fixed_of(item, sizes)
-            here = [dict(zip(item.free, start.values(), strict=True)) for start in starts[:STARTS_TRIED]]
-            groups = [[{**off, **start} for off in (({}, away) if away else ({},)) for start in here]]
-            if not before.nonlinear:  # else it costs too much to begin once more from values as given
-                groups.append([{**self.nominal, **away, **start} for start in here])
-            jobs.append((item.document(document, {**fixed, **starts[0]}, limits_of(item, sizes)), groups))
         screening = Screening(self.evidence, self.work)
         screened = screening.screened(before, found, jobs, places, earlier) if many else screening.all(before, found)
         level = level_of(hypotheses)
@@ -115,7 +98,7 @@ class Trials:
             kept += [k for k, item in enumerate(found) if item.key in again and k not in kept]
             known = [{} if one is None else dict(one.start) for one in promises]
             jobs = [
-                (start, _led(groups, again.get(item.key) or near))
+                (start, led(groups, again.get(item.key) or near))
                 for item, (start, groups), near in zip(found, jobs, known, strict=True)
             ]
             promised = {k: one for k in kept if (one := screened.laws.get(k) or promises[k]) is not None}
@@ -218,11 +201,11 @@ class Trials:
             every = [*tried, *(item for item, _ in jobs.values())]
         promises = [] if places is None else self.work.promises_of_laws(every, places)
         which = as_promising(every, promises, len(tried), NEARLY * nearest.fit.misfit)
-        led = []
+        ready: list[Job] = []
         for k in which:
             (_, (document, groups)), promise = jobs[every[k].key], promises[k]
-            led.append((document, _led(groups, {} if promise is None else dict(promise.start))))
-        fits = self._fit(led, Effort(beyond=NEAR_PROMISE * nearest.fit.misfit))
+            ready.append((document, led(groups, {} if promise is None else dict(promise.start))))
+        fits = self._fit(ready, Effort(beyond=NEAR_PROMISE * nearest.fit.misfit))
         more = [Candidate(every[k], fit, self._astray(found.before, fit)) for k, fit in zip(which, fits, strict=True)]
         return self._kept(found.with_tried([*found.tried, *more], self.slack)) if more else found
 
@@ -238,18 +221,6 @@ class Trials:
             if sized and abs(value) > CRITERIA.astray * usual > 0:
                 found.append(f"{item.name} {abs(value) / usual:.2g} times as large")
         return " and ".join(found)
-
-    def _off_bounds(self, fit: Fit) -> dict[str, float]:
-        """Return where parameters of the diagram as given that ended at a bound begin again: as given, off the bound.
-
-        What held one there may be gone with the next effect.
-        """
-        found = {}
-        for item, ended in zip(fit.free, fit.at_bound, strict=True):
-            if ended and item.name in self.nominal:
-                off = min(RESTART * (item.scale or 1.0), (item.high - item.low) / 2)
-                found[item.name] = float(np.clip(self.nominal[item.name], item.low + off, item.high - off))
-        return found
 
     def _begun(
         self,
@@ -351,7 +322,7 @@ class Trials:
         """Carry some fits on from where they are, in place."""
         continued: list[Job] = []
         for k in which:
-            away = {} if fits[k].nonlinear else self._off_bounds(fits[k])
+            away = {} if fits[k].nonlinear else off_bounds(fits[k], self.nominal)
             continued.append((values_in(jobs[k][0], fits[k].values), [[{}], *([[away]] if away else [])]))
         for k, fit in zip(which, self._fit(continued, Effort(most)), strict=True):
             if not fit.failure and fit.misfit <= fits[k].misfit:
@@ -382,19 +353,12 @@ class Trials:
         known = {name: value for name, value in known.items() if name in document["identify"]}
         document = values_in(document, known)  # a block that was put in the place of another has others
         with one_thread():
-            fit = self.evidence.fit(document, [[{}], [{**self.nominal, **self._off_bounds(near)}]])
+            fit = self.evidence.fit(document, [[{}], [{**self.nominal, **off_bounds(near, self.nominal)}]])
         if fit.failure:
             return ()
         pairs = zip(entered[:-1], effects, strict=False)
         kept = (Candidate(new, old.fit if new.name == old.insertion.name else fit) for new, old in pairs)
         return (*kept, Candidate(entered[-1], fit))
-
-
-def _led(groups: list[list[dict[str, float]]], start: dict[str, float]) -> list[list[dict[str, float]]]:
-    """Return one that is known to be near, the same beside the diagram as given, and DECLARED starts, in one group."""
-    if not start:
-        return groups
-    return [[start, {**groups[-1][0], **start}, *({**start, **group[0]} for group in groups[:DECLARED])]]
 
 
 def _beyond(before: Fit, fits: Sequence[Fit]) -> float:
