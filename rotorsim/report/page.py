@@ -60,8 +60,11 @@ class Page:
         """Write a figure as PNG and return it for the page, with its pixels inside; nothing for none."""
         if drawn is None or drawn.figure is None:
             return ""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
         buffer = io.BytesIO()
-        drawn.figure.savefig(buffer, format="png", dpi=DPI)
+        drawn.figure.set_dpi(DPI)
+        FigureCanvasAgg(drawn.figure).print_png(buffer)  # savefig draws twice, the same
         pixels = buffer.getvalue()
         self.write(f"{drawn.name}.png", pixels)
         title = " ".join(str(drawn.figure.get_suptitle()).split())
