@@ -114,6 +114,16 @@ class Round:
         fitted = [item for item in self.tried if not item.fit.failure]
         return min(fitted, key=lambda item: item.fit.misfit, default=None)
 
+    def as_tried(self, candidate: Candidate) -> Candidate:
+        """Return a candidate with the fit that it has in this round."""
+        same = self.of(candidate)
+        return Candidate(candidate.insertion, candidate.fit if same is None else same.fit)
+
+    def of(self, candidate: Candidate) -> Candidate | None:
+        """Return what was tried here of a candidate; None if it was not, or has no fit."""
+        fitted = (item for item in self.tried if not item.fit.failure)
+        return next((item for item in fitted if item.insertion.key == candidate.insertion.key), None)
+
     def worth_again(self, most: int) -> dict[str, dict[str, float]]:
         """Return the values of the best fits that another measure of the noise may make the best, by their keys."""
         fitted = [item for item in self.tried if not item.fit.failure]
@@ -131,12 +141,16 @@ class Round:
     def beside(self, chosen: Insertion, physics: Collection[str], *, every: bool) -> list[tuple[Insertion, Job]]:
         """Return what is left to try beside a choice: its law where it promises as much, these physics in its place.
 
-        every: all physics there that depend on no further signal, or on the same one.
+        Or at those that no free signal tells from it. They depend on no further signal, or on the same one. every: all
+        physics in its very place.
         """
         pairs = {item.key: (item, job) for item, job in self.elsewhere if item.law == chosen.law}
+        alike = next((one.places for one in self.classes if chosen.spot in one.places), ())
         for item, job in self.untried:
-            named = item.physics in physics and item.depends_on == chosen.depends_on
-            if item.spot == chosen.spot and (named or (every and item.depends_on in ("", chosen.depends_on))):
+            here = item.spot == chosen.spot
+            if item.depends_on in ("", chosen.depends_on) and (
+                (here and every) or ((here or item.spot in alike) and item.physics in physics)
+            ):
                 pairs[item.key] = item, job
         return [*pairs.values()]
 

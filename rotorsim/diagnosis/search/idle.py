@@ -1,0 +1,104 @@
+"""Laws without what the data do not ask of them: idle parameters, and wider laws where a case of them does as well."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rotorsim.criteria import CRITERIA
+from rotorsim.diagnosis.catalogue.insertion import Insertion
+from rotorsim.diagnosis.catalogue.values import values_in
+from rotorsim.diagnosis.evidence.evidence import Evidence
+from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
+from rotorsim.diagnosis.search.candidates import Candidate, Round
+from rotorsim.identification.coordinates import ANGLE_UNIT
+
+
+def without_idle(evidence: Evidence, fit: Fit, laws: Sequence[Insertion]) -> Fit:
+    """Return a fit without parameters of its laws whose size the data do not tell from zero.
+
+    One by one, the least significant first, with the angle that means nothing without it, while the criterion falls.
+    """
+    while True:
+        names = [item.name for item in fit.free]
+        ratio: dict[str, float] = {}
+        for law in laws:
+            own = [name for name in law.free if name in names]
+            for name in own:
+                j = names.index(name)
+                item, std = fit.free[j], float(np.sqrt(max(fit.covariance[j, j], 0.0)))
+                may_be_zero = item.unit != ANGLE_UNIT and item.low <= 0 <= item.high
+                if (
+                    may_be_zero
+                    and abs(fit.theta[j]) <= CRITERIA.significant * std
+                    and len({*own} - _with_angle(name, own)) > 0
+                ):
+                    ratio[name] = abs(float(fit.theta[j])) / std if std else 0.0
+        for name in sorted(ratio, key=lambda name: ratio[name]):
+            gone = _with_angle(name, names)
+            document = values_in(fit.document, {**fit.values, name: 0.0})
+            document["identify"] = {key: value for key, value in document["identify"].items() if key not in gone}
+            less = evidence.fit(document, [[{}]])
+            if not less.failure and less.criterion < fit.criterion:
+                fit = less
+                break
+        else:
+            return fit
+
+
+def _with_angle(name: str, names: Collection[str]) -> set[str]:
+    """Return a parameter with the angle of the same pair, where there is one."""
+    block, _, key = name.rpartition(".")
+    letters = key.rstrip("0123456789")
+    angles = {f"{block}.{key.replace('amplitude', 'phase')}", f"{block}.{letters}_phase{key[len(letters) :]}"}
+    return {name, *(angles & set(names))}
+
+
+def simplified(evidence: Evidence, found: Round, slack: float) -> Round:
+    """Return a round whose laws that explain the data, and may be named, have no idle parameters.
+
+    Else a law would lose against another only by a parameter that it does not need.
+    """
+    best = found.best
+    if best is None or not is_adequate(best.fit):
+        return found
+    tried = list(found.tried)
+    for k, item in enumerate(tried):
+        charge = len(item.parameters) * float(np.log(max(item.fit.equations, item.fit.rows, 2)))
+        most = best.fit.criterion + CRITERIA.equivalent + charge
+        if is_adequate(item.fit) and item.final and item.physical and item.fit.criterion <= most:
+            less = without_idle(evidence, item.fit, [item.insertion])
+            tried[k] = item if less is item.fit else replace(item, fit=less)
+    return found.with_tried(tried, slack)
+
+
+def nested(evidence: Evidence, found: Round, item: Candidate, slack: float) -> tuple[Round, Candidate]:
+    """Return a round and its choice, or the case of its law that is meant where the data do not tell the two apart.
+
+    They are compared as sharpened where both are approximations (`Insertion.smoothed`): a wider law makes up for what
+    is wrong with the narrower one.
+    """
+    own = found.of(item)
+    other = None if own is None else next((one for one in found.tried if _is_nested(own, one)), None)
+    if own is None or other is None:
+        return found, item
+    sharp = {one: replace(one, fit=evidence.sharpened(one.fit, [one.insertion])[1]) for one in (own, other)}
+    after = found.with_tried([sharp.get(one, one) for one in found.tried], slack)
+    wider, case = (own, other) if _holds(own, other) else (other, own)
+    simpler = sharp[wider].simpler is not None or sharp[case].fit.criterion <= sharp[wider].fit.criterion
+    meant = case if simpler and sharp[case].physical else wider
+    return after, other if meant is other else item
+
+
+def _holds(wider: Candidate, case: Candidate) -> bool:
+    return case.insertion.physics in wider.insertion.fault.special_cases
+
+
+def _is_nested(one: Candidate, other: Candidate) -> bool:
+    """Return whether of two approximate laws at one place that explain the data one holds the other."""
+    a, b = one.insertion, other.insertion
+    here = a.spot == b.spot and a.depends_on == b.depends_on and bool(a.smoothed and b.smoothed)
+    both = is_adequate(one.fit) and is_adequate(other.fit) and other.final
+    return here and both and (_holds(one, other) or _holds(other, one))
