@@ -309,6 +309,24 @@ def test_a_law_keeps_its_only_parameter():
     assert _simplified(SimpleNamespace(evidence=None), (item,)) == (item,)
 
 
+@pytest.mark.parametrize(("without", "physical"), [(1002.8, True), (1002.6, False), (None, True)])
+def test_a_size_that_the_data_leave_open_is_not_zero_where_nothing_explains_as_much_without(without, physical):
+    """FAULT: cross-talk of a speed into a pressure was rejected: with six parameters free it was 1.8e7 +- 1.6e10.
+
+    Without it the misfit rises, by more than 1.645^2 = 2.71.
+    """
+    sizes = {"law.linear": (1.8, 1600.0)}
+    fault = SimpleNamespace(sizes=("linear",), simpler={})
+    item = SimpleNamespace(free=("law.linear",), spot=Spot("a", "b"), key="talk", fault=fault)
+    refitted = Fit({}, failure="it diverges") if without is None else Fit({}, misfit=without)
+    tried = Candidate(item, law(sizes))
+    assert not tried.physical
+    found = simplified(SimpleNamespace(fit=lambda document, starts: refitted), Round(left(50.0), (tried,)), 0.0)
+    assert found.tried[0].physical is physical
+    adequate = Round(left(1.0), (tried,))
+    assert simplified(SimpleNamespace(), adequate, 0.0) is adequate  # beside noise it would be chance
+
+
 def test_a_law_does_not_lose_by_a_parameter_that_it_does_not_need():
     """FAULT: a square beside an idle cube lost against a gain that depends on another signal, by log(2000) = 7.6."""
     sizes = {"law.quadratic": (3.0, 0.1), "law.cubic": (0.1, 0.2)}

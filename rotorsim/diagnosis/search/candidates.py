@@ -22,13 +22,15 @@ Job = tuple[dict[str, Any], list[list[dict[str, float]]]]  # a document with an 
 class Candidate:
     """An insertion and the refitted diagram with it.
 
-    astray: parameters of the diagram that have left all reason. final: whether the fit was carried to the end.
+    astray: parameters of the diagram that have left all reason. final: whether the fit was carried to the end. needed:
+    whether the diagram was refitted without it from there, and explains less.
     """
 
     insertion: Insertion
     fit: Fit
     astray: str = ""
     final: bool = True
+    needed: bool = False
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -51,8 +53,8 @@ class Candidate:
         """Why this cannot be, empty where it can.
 
         A parameter of the fault ended at a bound; none of its sizes differs significantly from zero (their 90 %
-        intervals hold it, were the rest of its law known); its 90 % interval holds a simpler law; or it needs a
-        parameter of the diagram far beyond all reason, as one that cancels the effect is.
+        intervals hold it, were the rest of its law known), unless it is needed; its 90 % interval holds a simpler law;
+        or it needs a parameter of the diagram far beyond all reason, as one that cancels the effect is.
         """
         fit = self.fit
         if fit.failure:
@@ -63,7 +65,7 @@ class Candidate:
         sizes = [name for name in self.parameters if name.rpartition(".")[2] in self.insertion.fault.sizes]
         std = fit.alone if len(fit.alone) else np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
         significant = (abs(fit.theta[j]) > Z90 * std[j] for j in map(names.index, sizes))
-        if sizes and not any(significant):
+        if sizes and not self.needed and not any(significant):
             keys = " and ".join(name.rpartition(".")[2] for name in sizes)
             return f"its {keys} is not significantly different from zero"
         if self.simpler is not None:

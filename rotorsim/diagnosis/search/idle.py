@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorsim.criteria import CRITERIA
+from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
@@ -61,6 +61,9 @@ def simplified(evidence: Evidence, found: Round, slack: float) -> Round:
 
     Else a law would lose against another only by a parameter that it does not need.
     """
+    if is_adequate(found.before) or not any(is_adequate(item.fit) for item in found.tried):
+        return found
+    found = _with_needed(evidence, found, slack)
     best = found.best
     if best is None or not is_adequate(best.fit):
         return found
@@ -71,6 +74,25 @@ def simplified(evidence: Evidence, found: Round, slack: float) -> Round:
         if is_adequate(item.fit) and item.final and item.physical and item.fit.criterion <= most:
             less = without_idle(evidence, item.fit, [item.insertion])
             tried[k] = item if less is item.fit else replace(item, fit=less)
+    return found.with_tried(tried, slack)
+
+
+def _with_needed(evidence: Evidence, found: Round, slack: float) -> Round:
+    """Return a round in which laws of one size count that explain the data, and nothing without it does.
+
+    Where parameters of the diagram can change along with the size, its interval holds zero although no values there
+    explain as much: they end at bounds before. By likelihood, as from the interval: 90 % (chi-squared of one unknown).
+    """
+    tried = list(found.tried)
+    for k, item in enumerate(tried):
+        helps = not item.physical and replace(item, needed=True).physical and len(item.parameters) == 1
+        if helps and item.final and is_adequate(item.fit):
+            [size] = item.parameters
+            document = values_in(item.fit.document, {**item.fit.values, size: 0.0})
+            document["identify"] = {key: value for key, value in document["identify"].items() if key != size}
+            without = evidence.fit(document, [[{}]])
+            least = min(found.before.misfit, np.inf if without.failure else without.misfit)
+            tried[k] = replace(item, needed=least > item.fit.misfit + Z90**2)
     return found.with_tried(tried, slack)
 
 
