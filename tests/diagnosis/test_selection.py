@@ -337,7 +337,12 @@ def test_a_law_does_not_lose_by_a_parameter_that_it_does_not_need():
     )
     square = Candidate(
         SimpleNamespace(
-            free=tuple(sizes), spot=Spot("a", "b"), key="square", fault=SimpleNamespace(sizes=(), simpler={})
+            free=tuple(sizes),
+            physics="square",
+            spot=Spot("a", "b"),
+            depends_on="",
+            key="square",
+            fault=SimpleNamespace(sizes=(), simpler={}, special_cases=("parabola",)),
         ),
         law(sizes),
     )
@@ -348,6 +353,12 @@ def test_a_law_does_not_lose_by_a_parameter_that_it_does_not_need():
     assert less.fit.criterion - gain.fit.criterion == pytest.approx(0.2)
     unexplained = Round(left(50.0), (replace(square, fit=replace(square.fit, misfit=5e3, goodness=0.0)),))
     assert simplified(evidence, unexplained, 0.0) is unexplained  # what is idle now another effect may wake
+    parabola = candidate("parabola", 1000.2, 1, nuisances=0)  # FAULT: a drift without a rate was named beside an offset
+    parabola.insertion.spot = square.insertion.spot
+    kept = simplified(evidence, Round(left(50.0), (parabola, square)), 0.0)
+    assert [item.fit for item in kept.tried] == [parabola.fit, square.fit]
+    parabola.insertion.spot = Spot("a", "c")
+    assert simplified(evidence, Round(left(50.0), (parabola, square)), 0.0).tried[1].fit is not square.fit
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
-from rotorsim.diagnosis.search.candidates import Candidate, Round
+from rotorsim.diagnosis.search.candidates import SAME, Candidate, Round
 from rotorsim.identification.coordinates import ANGLE_UNIT
 
 
@@ -59,7 +59,8 @@ def _with_angle(name: str, names: Collection[str]) -> set[str]:
 def simplified(evidence: Evidence, found: Round, slack: float) -> Round:
     """Return a round whose laws that explain the data, and may be named, have no idle parameters.
 
-    Else a law would lose against another only by a parameter that it does not need.
+    Else a law would lose against another only by a parameter that it does not need. Not where it becomes a case of its
+    own that was tried (a drift without a rate): that one is meant.
     """
     if is_adequate(found.before) or not any(is_adequate(item.fit) for item in found.tried):
         return found
@@ -73,7 +74,9 @@ def simplified(evidence: Evidence, found: Round, slack: float) -> Round:
         most = best.fit.criterion + CRITERIA.equivalent + charge
         if is_adequate(item.fit) and item.final and item.physical and item.fit.criterion <= most:
             less = without_idle(evidence, item.fit, [item.insertion])
-            tried[k] = item if less is item.fit else replace(item, fit=less)
+            cases = (one.fit for one in tried if _is_here(one, item) and _holds(item, one) and not one.fit.failure)
+            if less is not item.fit and all(less.criterion < case.criterion - SAME for case in cases):
+                tried[k] = replace(item, fit=less)
     return found.with_tried(tried, slack)
 
 
@@ -120,7 +123,12 @@ def _holds(wider: Candidate, case: Candidate) -> bool:
 
 def _is_nested(one: Candidate, other: Candidate) -> bool:
     """Return whether of two approximate laws at one place that explain the data one holds the other."""
-    a, b = one.insertion, other.insertion
-    here = a.spot == b.spot and a.depends_on == b.depends_on and bool(a.smoothed and b.smoothed)
+    smoothed = bool(one.insertion.smoothed and other.insertion.smoothed)
     both = is_adequate(one.fit) and is_adequate(other.fit) and other.final
-    return here and both and (_holds(one, other) or _holds(other, one))
+    return _is_here(one, other) and smoothed and both and (_holds(one, other) or _holds(other, one))
+
+
+def _is_here(one: Candidate, other: Candidate) -> bool:
+    """Return whether two laws act at one place, and depend on the same other signal, if on any."""
+    a, b = one.insertion, other.insertion
+    return a.spot == b.spot and a.depends_on == b.depends_on
