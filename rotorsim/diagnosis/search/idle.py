@@ -74,7 +74,7 @@ def simplified(evidence: Evidence, found: Round, slack: float) -> Round:
         most = best.fit.criterion + CRITERIA.equivalent + charge
         if is_adequate(item.fit) and item.final and item.physical and item.fit.criterion <= most:
             less = without_idle(evidence, item.fit, [item.insertion])
-            cases = (one.fit for one in tried if _is_here(one, item) and _holds(item, one) and not one.fit.failure)
+            cases = (one.fit for one in tried if _is_case(one, item))
             if less is not item.fit and all(less.criterion < case.criterion - SAME for case in cases):
                 tried[k] = replace(item, fit=less)
     return found.with_tried(tried, slack)
@@ -103,18 +103,27 @@ def nested(evidence: Evidence, found: Round, item: Candidate, slack: float) -> t
     """Return a round and its choice, or the case of its law that is meant where the data do not tell the two apart.
 
     They are compared as sharpened where both are approximations (`Insertion.smoothed`): a wider law makes up for what
-    is wrong with the narrower one.
+    is wrong with the narrower one. Where the case is meant, the wider one explains no more wherever both were tried.
     """
     own = found.of(item)
     other = None if own is None else next((one for one in found.tried if _is_nested(own, one)), None)
     if own is None or other is None:
         return found, item
-    sharp = {one: replace(one, fit=evidence.sharpened(one.fit, [one.insertion])[1]) for one in (own, other)}
-    after = found.with_tried([sharp.get(one, one) for one in found.tried], slack)
     wider, case = (own, other) if _holds(own, other) else (other, own)
-    simpler = sharp[wider].simpler is not None or sharp[case].fit.criterion <= sharp[wider].fit.criterion
-    meant = case if simpler and sharp[case].physical else wider
-    return after, other if meant is other else item
+    sharp, exact = (replace(one, fit=evidence.sharpened(one.fit, [one.insertion])[1]) for one in (wider, case))
+    if not exact.physical or not (sharp.simpler or exact.fit.criterion <= sharp.fit.criterion):
+        return found, item if own is wider else other
+    tried = list(found.tried)
+    for k, one in enumerate(tried):
+        narrow = next((two for two in tried if one.insertion.law == wider.insertion.law and _is_case(two, one)), None)
+        if narrow is not None and not one.fit.failure:
+            tried[k] = replace(one, fit=replace(one.fit, misfit=max(one.fit.misfit, narrow.fit.misfit)))
+    return found.with_tried(tried, slack), item if own is case else other
+
+
+def _is_case(narrow: Candidate, wide: Candidate) -> bool:
+    """Return whether a law was fitted where one was that holds it."""
+    return _is_here(narrow, wide) and _holds(wide, narrow) and not narrow.fit.failure
 
 
 def _holds(wider: Candidate, case: Candidate) -> bool:
