@@ -217,6 +217,27 @@ def test_means_that_a_law_adds_cost_as_much_as_its_parameters():
     assert more.criterion == pytest.approx(920.0 + 20 * np.log(ROWS))
 
 
+def test_rivals_are_compared_with_what_was_found_beside_them_at_last():
+    """FAULT: of a gain that gave way to a look-alike it was said that its criterion is higher by 0."""
+    base = Fit({}, misfit=5e5, rows=ROWS, equations=ROWS)
+    gain, square = candidate("gain", 1030.0, 1, alike=("square",)), candidate("square", 1000.0, 1)
+
+    def completed(given: Round, physics: set[str], chosen: SimpleNamespace, *, every: bool = False) -> Round:
+        return replace(given, tried=(square, gain)) if "square" in physics else given
+
+    trials = SimpleNamespace(
+        round=lambda before: Round(before, (gain,)),
+        evidence=SimpleNamespace(refines_meshes=lambda document: False),
+        counts={},
+        slack=0.0,
+        completed=completed,
+    )
+    found = _selected(trials, base)
+    assert [item.insertion.physics for item in found.chosen] == ["square"]
+    [(name, why)] = rejected_of(found, [effect_of(square, found.first, 0.0)], Terms())
+    assert (name, why) == ("gain", "explains the data less well: criterion higher by 30")
+
+
 def test_known_look_alikes_are_fitted_to_the_end_and_may_take_the_place():
     """A delay beside a spring reads like an amplifier; that a fit did not get far is no reason to drop it."""
     before = Fit({}, misfit=5e5, rows=ROWS, equations=ROWS)

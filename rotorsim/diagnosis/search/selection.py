@@ -133,6 +133,7 @@ def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Se
         chosen, rounds = _completed(trials, base, chosen, rounds)
         chosen, rounds = _narrowed(trials, base, chosen, rounds)
         chosen = _simplified(trials, chosen)
+        first = next((found for found in rounds if found.before is base), first)  # with what was looked at since
     return Selection(base, chosen, tuple(rounds), chosen[-1].fit, level, trials.counts, slack, first)
 
 
