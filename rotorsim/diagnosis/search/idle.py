@@ -86,10 +86,11 @@ def _with_needed(evidence: Evidence, found: Round, slack: float) -> Round:
     Where parameters of the diagram can change along with the size, its interval holds zero although no values there
     explain as much: they end at bounds before. By likelihood, as from the interval: 90 % (chi-squared of one unknown).
     """
-    tried = list(found.tried)
+    tried, best = list(found.tried), found.best
+    most = np.inf if best is None or not is_adequate(best.fit) else best.fit.criterion + CRITERIA.equivalent
     for k, item in enumerate(tried):
         helps = not item.physical and replace(item, needed=True).physical and len(item.parameters) == 1
-        if helps and item.final and is_adequate(item.fit):
+        if helps and item.final and is_adequate(item.fit) and item.fit.criterion <= most:
             [size] = item.parameters
             document = values_in(item.fit.document, {**item.fit.values, size: 0.0})
             document["identify"] = {key: value for key, value in document["identify"].items() if key != size}
