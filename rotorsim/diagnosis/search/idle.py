@@ -23,19 +23,7 @@ def without_idle(evidence: Evidence, fit: Fit, laws: Sequence[Insertion]) -> Fit
     """
     while True:
         names = [item.name for item in fit.free]
-        ratio: dict[str, float] = {}
-        for law in laws:
-            own = [name for name in law.free if name in names]
-            for name in own:
-                j = names.index(name)
-                item, std = fit.free[j], float(np.sqrt(max(fit.covariance[j, j], 0.0)))
-                may_be_zero = item.unit != ANGLE_UNIT and item.low <= 0 <= item.high
-                if (
-                    may_be_zero
-                    and abs(fit.theta[j]) <= CRITERIA.significant * std
-                    and len({*own} - _with_angle(name, own)) > 0
-                ):
-                    ratio[name] = abs(float(fit.theta[j])) / std if std else 0.0
+        ratio = {name: value for law in laws for name, value in _idle(fit, law).items()}
         for name in sorted(ratio, key=lambda name: ratio[name]):
             gone = _with_angle(name, names)
             document = values_in(fit.document, {**fit.values, name: 0.0})
@@ -46,6 +34,21 @@ def without_idle(evidence: Evidence, fit: Fit, laws: Sequence[Insertion]) -> Fit
                 break
         else:
             return fit
+
+
+def _idle(fit: Fit, law: Insertion) -> dict[str, float]:
+    """Return the parameters of a law that may be zero, as far as the data tell: how many standard deviations off."""
+    names = [item.name for item in fit.free]
+    own = [name for name in law.free if name in names]
+    ratio: dict[str, float] = {}
+    for name in own:
+        j = names.index(name)
+        item, std = fit.free[j], float(np.sqrt(max(fit.covariance[j, j], 0.0)))
+        may_be_zero = item.unit != ANGLE_UNIT and item.low <= 0 <= item.high
+        small = abs(fit.theta[j]) <= CRITERIA.significant * std
+        if may_be_zero and small and len({*own} - _with_angle(name, own)) > 0:
+            ratio[name] = abs(float(fit.theta[j])) / std if std else 0.0
+    return ratio
 
 
 def _with_angle(name: str, names: Collection[str]) -> set[str]:
@@ -70,9 +73,11 @@ def simplified(evidence: Evidence, found: Round, slack: float) -> Round:
         return found
     tried = list(found.tried)
     for k, item in enumerate(tried):
-        charge = len(item.parameters) * float(np.log(max(item.fit.equations, item.fit.rows, 2)))
-        most = best.fit.criterion + CRITERIA.equivalent + charge
-        if is_adequate(item.fit) and item.final and item.physical and item.fit.criterion <= most:
+        if not (is_adequate(item.fit) and item.final and item.physical):
+            continue
+        idle = {each for name in _idle(item.fit, item.insertion) for each in _with_angle(name, item.parameters)}
+        charged = len(idle) * float(np.log(max(item.fit.equations, item.fit.rows, 2)))
+        if idle and item.fit.criterion - charged <= best.fit.criterion + CRITERIA.equivalent:
             less = without_idle(evidence, item.fit, [item.insertion])
             cases = (one.fit for one in tried if _is_case(one, item))
             if less is not item.fit and all(less.criterion < case.criterion - SAME for case in cases):
