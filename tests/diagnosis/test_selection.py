@@ -337,7 +337,7 @@ def test_a_size_that_the_data_leave_open_is_not_zero_where_nothing_explains_as_m
     Without it the misfit rises, by more than 1.645^2 = 2.71.
     """
     sizes = {"law.linear": (1.8, 1600.0)}
-    fault = SimpleNamespace(sizes=("linear",), simpler={})
+    fault = SimpleNamespace(sizes=("linear",), simpler={}, enters="signal")
     item = SimpleNamespace(free=("law.linear",), spot=Spot("a", "b"), key="talk", fault=fault)
     refitted = Fit({}, failure="it diverges") if without is None else Fit({}, misfit=without)
     tried = Candidate(item, law(sizes))
@@ -363,7 +363,7 @@ def test_a_law_does_not_lose_by_a_parameter_that_it_does_not_need():
             spot=Spot("a", "b"),
             depends_on="",
             key="square",
-            fault=SimpleNamespace(sizes=(), simpler={}, special_cases=("parabola",)),
+            fault=SimpleNamespace(sizes=(), simpler={}, special_cases=("parabola",), enters="signal"),
         ),
         law(sizes),
     )
@@ -378,6 +378,9 @@ def test_a_law_does_not_lose_by_a_parameter_that_it_does_not_need():
     parabola.insertion.spot = square.insertion.spot
     kept = simplified(evidence, Round(left(50.0), (parabola, square)), 0.0)
     assert [item.fit for item in kept.tried] == [parabola.fit, square.fit]
+    bow = replace(square, insertion=SimpleNamespace(**vars(square.insertion)))  # FAULT: a misalignment without its
+    bow.insertion.fault = SimpleNamespace(**{**vars(square.insertion.fault), "enters": "force"})  # second order: a bow
+    assert simplified(evidence, Round(left(50.0), (gain, bow)), 0.0).tried[1].fit is bow.fit
     parabola.insertion.spot = Spot("a", "c")
     assert simplified(evidence, Round(left(50.0), (parabola, square)), 0.0).tried[1].fit is not square.fit
 

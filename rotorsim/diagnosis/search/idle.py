@@ -62,8 +62,9 @@ def _with_angle(name: str, names: Collection[str]) -> set[str]:
 def simplified(evidence: Evidence, found: Round, slack: float) -> Round:
     """Return a round whose laws that explain the data, and may be named, have no idle parameters.
 
-    Else a law would lose against another only by a parameter that it does not need. Not where it becomes a case of its
-    own that was tried (a drift without a rate): that one is meant.
+    Else a law would lose against another only by a parameter that it does not need. Of laws of a signal, of which each
+    term is a law by itself (a square, a cube); orders of a machine's fault come together. Not where it becomes a case
+    of its own that was tried (a drift without a rate): that one is meant.
     """
     if is_adequate(found.before) or not any(is_adequate(item.fit) for item in found.tried):
         return found
@@ -73,7 +74,7 @@ def simplified(evidence: Evidence, found: Round, slack: float) -> Round:
         return found
     tried = list(found.tried)
     for k, item in enumerate(tried):
-        if not (is_adequate(item.fit) and item.final and item.physical):
+        if not (_of_signal(item) and is_adequate(item.fit) and item.final and item.physical):
             continue
         idle = {each for name in _idle(item.fit, item.insertion) for each in _with_angle(name, item.parameters)}
         charged = len(idle) * float(np.log(max(item.fit.equations, item.fit.rows, 2)))
@@ -95,7 +96,7 @@ def _with_needed(evidence: Evidence, found: Round, slack: float) -> Round:
     most = np.inf if best is None or not is_adequate(best.fit) else best.fit.criterion + CRITERIA.equivalent
     for k, item in enumerate(tried):
         helps = not item.physical and replace(item, needed=True).physical and len(item.parameters) == 1
-        if helps and item.final and is_adequate(item.fit) and item.fit.criterion <= most:
+        if helps and _of_signal(item) and item.final and is_adequate(item.fit) and item.fit.criterion <= most:
             [size] = item.parameters
             document = values_in(item.fit.document, {**item.fit.values, size: 0.0})
             document["identify"] = {key: value for key, value in document["identify"].items() if key != size}
@@ -125,6 +126,10 @@ def nested(evidence: Evidence, found: Round, item: Candidate, slack: float) -> t
         if narrow is not None and not one.fit.failure:
             tried[k] = replace(one, fit=replace(one.fit, misfit=max(one.fit.misfit, narrow.fit.misfit)))
     return found.with_tried(tried, slack), item if own is case else other
+
+
+def _of_signal(item: Candidate) -> bool:
+    return item.insertion.fault.enters in ("signal", "replace")
 
 
 def _is_case(narrow: Candidate, wide: Candidate) -> bool:
