@@ -99,7 +99,8 @@ class Fault:
     - "signal": the block's ``output`` takes the place of any scalar signal, its ``input``: for all blocks that take it,
       for one of several, for its recording, or for all of these. Of diagrams in which nothing turns. ``argument``: an
       input that takes another scalar signal of the diagram, every one in turn. ``own``: the physics that is the same
-      law of one signal, at which it is tried instead where the other signal, behind gains, enters the same sum.
+      law of one signal, at which it is tried instead where the other signal, behind gains, enters the same sum, or the
+      same product for what does not add. ``of_integral``: its name where the other signal is the integral of its own.
       ``adds``: what it adds to a signal does not depend on that signal, so that behind a sum it is the same.
     - "replace": the block takes the place of one whose type is in ``of``, which may be its own type; parameters of
       equal name keep their values.
@@ -114,7 +115,8 @@ class Fault:
     most: what the magnitude of a free parameter can be at most, beside the bounds of the parameter. sizes: parameters
     that the effect is proportional to: where the data tell none of them from zero, there is no effect.
     simpler: parameter -> the value (or infinity) at which this is another physics, and which: where the data do not
-    tell them apart, the other one is meant.
+    tell them apart, the other one is meant. holds: further physics that it is a case of, at no one value: what holds
+    another and explains no more than its further parameters cost is no rival of it.
     finer: options of a finer approximation of the law, which takes its place where the data show the difference.
     inherits: parameters and options that take the value that the block at the place has under the same name;
     "crack.sag" takes that of the one block of type crack, if there is one. law: in words, what the effect does with
@@ -131,6 +133,7 @@ class Fault:
     most: Mapping[str, Of | Longest | Sampled] = field(default_factory=dict)
     sizes: tuple[str, ...] = ()
     simpler: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    holds: tuple[str, ...] = ()
     of: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     finer: Mapping[str, Any] = field(default_factory=dict)
@@ -138,6 +141,7 @@ class Fault:
     through: Mapping[str, str] = field(default_factory=dict)
     argument: str = ""
     own: str = ""
+    of_integral: str = ""
     recorded: str = "after"
     inherits: tuple[str, ...] = ()
     law: str = ""
@@ -153,6 +157,11 @@ class Fault:
             raise ValueError(f"enters must be one of {', '.join(ENTRIES)}, not '{self.enters}'")
         if self.recorded not in ("before", "after"):
             raise ValueError(f"recorded must be 'before' or 'after', not '{self.recorded}'")
+
+    @property
+    def special_cases(self) -> frozenset[str]:
+        """The physics that it holds as cases of its own law."""
+        return frozenset((*self.holds, *(other for _, other in self.simpler.values())))
 
     def variants(self, *changes: Mapping[str, Any]) -> tuple[Fault, ...]:
         """Return this declaration and others that differ from it by some of its fields."""

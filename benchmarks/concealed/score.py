@@ -99,6 +99,7 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
         "named": {},
         "exact": {},
         "located": {},
+        "listed": {},
         "parameters": [],
         "free": [],
         "false_names": [],
@@ -119,7 +120,9 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
             accepted = set(truth["class"].get(physics, [physics]))
             result["named"][physics] = any(accepted & names for _, names, _ in answers)
             result["exact"][physics] = any(first == physics for first, _, _ in answers)
-            result["located"][physics] = _located(truth, physics, diagnosis.get("where", []))
+            classes = _classes(diagnosis.get("where", []))
+            result["located"][physics] = _located(truth, physics, classes[: len(truth["missing"])])
+            result["listed"][physics] = _located(truth, physics, classes)
             sizes = [len(names) for _, names, _ in answers if accepted & names]
             result["credit"][physics] = 1 / min(sizes) if sizes else 0.0
         for first, _, item in answers:
@@ -153,12 +156,12 @@ def _effect(truth: dict[str, Any], physics: str) -> dict[str, float]:
     return own or truth["effect"]
 
 
-def _located(truth: dict[str, Any], physics: str, where: list[dict[str, Any]]) -> bool | None:
-    """Return whether a likely place is right: its block and, on a beam, the node. None if the truth has no place.
+def _located(truth: dict[str, Any], physics: str, classes: list[list[dict[str, Any]]]) -> bool | None:
+    """Return whether a place of these classes is right: its block and, on a beam, the node.
 
-    Likely are as many of the likeliest classes of places as effects are missing.
+    None if the truth has no place.
     """
-    best = [place for one in _classes(where)[: len(truth["missing"])] for place in one]
+    best = [place for one in classes for place in one]
     if physics in truth.get("accepted", {}):
         ports = truth["accepted"][physics]
         return any(f"{place.get('block')}.{place.get('port')}" in ports for place in best)

@@ -42,6 +42,11 @@ _LAWS = {
     ),
 }
 _SIDES = {"stop": ({"side": 1.0}, {"side": -1.0})}
+_HELD = {  # a polynomial or a long wave is linear at first, so is a stop that is always met, about a constant
+    "polynomial": ("cross_talk", "integrator_leak"),
+    "periodic": ("cross_talk", "integrator_leak"),
+    "stop": ("cross_talk", "integrator_leak", "offset"),
+}
 _OWN = {"linear": "gain_error", "polynomial": "static_nonlinearity", "stop": "one_sided_stop"}
 
 
@@ -70,10 +75,12 @@ class Coupling(Block):
             through={"input": "output"},
             argument="other",
             own=_OWN.get(law, ""),
+            of_integral="integrator_leak" if law == "linear" else "",
             options={"law": law},
             free=free,
             fixed=fixed,
             sizes=sizes,
+            holds=_HELD.get(law, ()),
             adds=True,
             law=said,
             confused_with=like,

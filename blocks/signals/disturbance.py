@@ -70,6 +70,7 @@ class Disturbance(Block):
             free=free,
             fixed=fixed,
             simpler={"rate": (0.0, "offset")} if law == "drift" else {},
+            holds=("offset",) if law == "step" else (),  # a step before the first sample
             adds=True,
             law=said,
             confused_with=like,

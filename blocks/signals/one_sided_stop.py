@@ -20,7 +20,7 @@ class OneSidedStop(Block):
             fixed={"side": side},
             free={"gap": (Of("input", 0.3), Of("input", 0.7)), "ratio": (1.0,)},
             sizes=("ratio",),
-            simpler={"ratio": (-1.0, "saturation")},
+            simpler={"ratio": (-1.0, "saturation"), "gap": (0.0, "asymmetry")},  # but for a gain
             law="nothing below the gap; one side only",
             confused_with=("asymmetry", "static_nonlinearity"),
             told_apart_by="amplitude: below the gap nothing is left",

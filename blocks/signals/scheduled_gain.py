@@ -42,6 +42,7 @@ class ScheduledGain(Block):
             enters="signal",
             through={"input": "output"},
             argument="other",
+            own="static_nonlinearity" if law in ("linear", "square") else "",
             options={"law": law},
             free=free,
             sizes=sizes,

@@ -160,7 +160,9 @@ def _repaired(opened: Opened, judged: _Judged, unknown: UnknownForce | None) -> 
     after = verdicts.nearest(selection, unknown, disproved=judged.disproved)
     if judged.outside or not selection.chosen:
         return evidence, before, after
-    after = evidence.finished(after, [item.insertion for item in selection.chosen])
+    laws = [item.insertion for item in selection.chosen]
+    evidence, after = evidence.sharpened(after, laws)
+    after = evidence.finished(after, laws)
     quieter = evidence.recalibrated(after)
     if quieter is None:
         return evidence, before, after

@@ -64,7 +64,8 @@ class Page:
 
         buffer = io.BytesIO()
         drawn.figure.set_dpi(DPI)
-        FigureCanvasAgg(drawn.figure).print_png(buffer)  # savefig draws twice, the same
+        canvas = FigureCanvasAgg(drawn.figure)  # savefig draws twice, the same
+        canvas.print_png(buffer)  # type: ignore[no-untyped-call]
         pixels = buffer.getvalue()
         self.write(f"{drawn.name}.png", pixels)
         title = " ".join(str(drawn.figure.get_suptitle()).split())

@@ -11,6 +11,7 @@ from rotorsim.diagnosis.conclude.verdict import effect_of, rejected_of, unfinish
 from rotorsim.diagnosis.evidence.evidence import Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.search.candidates import Candidate, Round, simplest_first
+from rotorsim.diagnosis.search.idle import nested, simplified
 from rotorsim.diagnosis.search.selection import _completed, _level, _reconsidered, _selected, _simplified, least_gain
 from rotorsim.diagram.diagram import Free
 from tests.diagnosis.test_verdicts import ROWS, left, named, selection
@@ -27,7 +28,9 @@ def candidate(
         spot=Spot("rotor", "force"),
         key=physics,
         free=(),
-        fault=SimpleNamespace(confused_with=alike, simpler={}, enters="force"),
+        depends_on="",
+        smoothed=(),
+        fault=SimpleNamespace(confused_with=alike, special_cases=(), enters="force"),
     )
     return SimpleNamespace(fit=fit, insertion=insertion, physical=True, unphysical="", parameters=(), final=True)
 
@@ -41,7 +44,7 @@ def chosen(*tried: SimpleNamespace) -> list[str]:
         counts={},
         nominal={},
         slack=0.0,
-        completed=lambda found, physics, law: found,
+        completed=lambda found, physics, law, every=False: found,
     )
     return [item.insertion.physics for item in _selected(trials, base).chosen]
 
@@ -105,7 +108,7 @@ def test_meshes_may_be_wrong_by_a_tenth_of_the_equations():
             counts={},
             nominal={},
             slack=0.0,
-            completed=lambda found, physics, law: found,
+            completed=lambda found, physics, law, every=False: found,
         )
         assert [item.insertion.physics for item in _selected(trials, base).chosen] == found
         assert trials.slack == pytest.approx(98.0)
@@ -132,7 +135,7 @@ def test_another_effect_must_explain_nine_tenths_of_what_is_left(second, goodnes
         counts={},
         nominal={},
         slack=0.0,
-        completed=lambda found, physics, law: found,
+        completed=lambda found, physics, law, every=False: found,
         refitted=lambda *_: (),
     )
     assert [item.insertion.physics for item in _selected(trials, base).chosen] == chosen
@@ -158,7 +161,7 @@ def test_a_pair_of_which_one_hides_the_other_is_begun_anew_with_its_second():
         counts={},
         nominal={},
         slack=0.0,
-        completed=lambda found, physics, law: found,
+        completed=lambda found, physics, law, every=False: found,
         refitted=lambda base, effects, near: (alone,) if [*effects] == [stop] else (),
     )
     assert [item.insertion.physics for item in _selected(trials, base).chosen] == ["stop", "saturation"]
@@ -184,7 +187,7 @@ def test_several_effects_that_leave_noise_by_another_measure_of_it_are_not_searc
         counts={},
         nominal={},
         slack=0.0,
-        completed=lambda found, physics, law: found,
+        completed=lambda found, physics, law, every=False: found,
         refitted=lambda base, effects, near: {2: (mode, gain), 1: (mode,)}[len(effects)] if mode in effects else (),
     )
     earlier = SimpleNamespace(chosen=(mode, gain), fit=gain.fit)
@@ -214,6 +217,27 @@ def test_means_that_a_law_adds_cost_as_much_as_its_parameters():
     assert more.criterion == pytest.approx(920.0 + 20 * np.log(ROWS))
 
 
+def test_rivals_are_compared_with_what_was_found_beside_them_at_last():
+    """FAULT: of a gain that gave way to a look-alike it was said that its criterion is higher by 0."""
+    base = Fit({}, misfit=5e5, rows=ROWS, equations=ROWS)
+    gain, square = candidate("gain", 1030.0, 1, alike=("square",)), candidate("square", 1000.0, 1)
+
+    def completed(given: Round, physics: set[str], chosen: SimpleNamespace, *, every: bool = False) -> Round:
+        return replace(given, tried=(square, gain)) if "square" in physics else given
+
+    trials = SimpleNamespace(
+        round=lambda before: Round(before, (gain,)),
+        evidence=SimpleNamespace(refines_meshes=lambda document: False),
+        counts={},
+        slack=0.0,
+        completed=completed,
+    )
+    found = _selected(trials, base)
+    assert [item.insertion.physics for item in found.chosen] == ["square"]
+    [(name, why)] = rejected_of(found, [effect_of(square, found.first, 0.0)], Terms())
+    assert (name, why) == ("gain", "explains the data less well: criterion higher by 30")
+
+
 def test_known_look_alikes_are_fitted_to_the_end_and_may_take_the_place():
     """A delay beside a spring reads like an amplifier; that a fit did not get far is no reason to drop it."""
     before = Fit({}, misfit=5e5, rows=ROWS, equations=ROWS)
@@ -226,11 +250,30 @@ def test_known_look_alikes_are_fitted_to_the_end_and_may_take_the_place():
         asked.append((set(physics), chosen.physics, every))
         return Round(before, (ended, found, bow))
 
-    trials = SimpleNamespace(completed=completed, slack=0.0)
-    chosen, rounds = _completed(trials, (found,), [Round(before, (found, delay, bow))])
+    trials = SimpleNamespace(completed=completed, slack=0.0, evidence=None)
+    chosen, rounds = _completed(trials, before, (found,), [Round(before, (found, delay, bow))])
     assert asked == [({"control_delay"}, "amplifier_bandwidth", False), (set(), "control_delay", True)]
     assert [item.insertion.physics for item in chosen] == ["control_delay"]
     assert rounds[0].tried[0] is ended
+
+
+def test_one_look_alike_that_explains_more_alone_takes_the_place_of_two_effects():
+    """FAULT: a square of a difference was a gain that depends on one of its terms, and cross-talk into that."""
+    base = Fit({}, misfit=5e5, rows=ROWS, equations=ROWS)
+    gain, talk, square = (
+        candidate("gain", 9e3, 1, alike=("square",)),
+        candidate("talk", 1000.0, 3),
+        candidate("square", 1001.0, 1),
+    )
+
+    def completed(given: Round, physics: set[str], chosen: SimpleNamespace, *, every: bool = False) -> Round:
+        return replace(given, tried=(square, *given.tried)) if "square" in physics else given
+
+    trials = SimpleNamespace(completed=completed, slack=0.0, evidence=None)
+    rounds = [Round(base, (gain,)), Round(gain.fit, (talk,))]
+    chosen, rounds = _completed(trials, base, (gain, talk), rounds)
+    assert chosen == (square,)
+    assert [found.before for found in rounds] == [base]
 
 
 def test_what_was_not_fitted_to_the_end_is_not_rejected():
@@ -284,7 +327,101 @@ def test_parameters_that_the_data_do_not_tell_from_zero_are_dropped_with_their_a
 
 def test_a_law_keeps_its_only_parameter():
     item = SimpleNamespace(insertion=SimpleNamespace(free=("law.amplitude1",)), fit=law({"law.amplitude1": (0.1, 0.2)}))
-    assert _simplified(SimpleNamespace(), (item,)) == (item,)
+    assert _simplified(SimpleNamespace(evidence=None), (item,)) == (item,)
+
+
+@pytest.mark.parametrize(("without", "physical"), [(1002.8, True), (1002.6, False), (None, True)])
+def test_a_size_that_the_data_leave_open_is_not_zero_where_nothing_explains_as_much_without(without, physical):
+    """FAULT: cross-talk of a speed into a pressure was rejected: with six parameters free it was 1.8e7 +- 1.6e10.
+
+    Without it the misfit rises, by more than 1.645^2 = 2.71.
+    """
+    sizes = {"law.linear": (1.8, 1600.0)}
+    fault = SimpleNamespace(sizes=("linear",), simpler={}, enters="signal")
+    item = SimpleNamespace(free=("law.linear",), spot=Spot("a", "b"), key="talk", fault=fault)
+    refitted = Fit({}, failure="it diverges") if without is None else Fit({}, misfit=without)
+    tried = Candidate(item, law(sizes))
+    assert not tried.physical
+    found = simplified(SimpleNamespace(fit=lambda document, starts: refitted), Round(left(50.0), (tried,)), 0.0)
+    assert found.tried[0].physical is physical
+    adequate = Round(left(1.0), (tried,))
+    assert simplified(SimpleNamespace(), adequate, 0.0) is adequate  # beside noise it would be chance
+
+
+def test_a_law_does_not_lose_by_a_parameter_that_it_does_not_need():
+    """FAULT: a square beside an idle cube lost against a gain that depends on another signal, by log(2000) = 7.6."""
+    sizes = {"law.quadratic": (3.0, 0.1), "law.cubic": (0.1, 0.2)}
+    evidence = SimpleNamespace(
+        fit=lambda document, starts: replace(
+            law({k: v for k, v in sizes.items() if k in document["identify"]}), misfit=1000.2
+        )
+    )
+    square = Candidate(
+        SimpleNamespace(
+            free=tuple(sizes),
+            physics="square",
+            spot=Spot("a", "b"),
+            depends_on="",
+            key="square",
+            fault=SimpleNamespace(sizes=(), simpler={}, special_cases=("parabola",), enters="signal"),
+        ),
+        law(sizes),
+    )
+    gain = candidate("gain", 1000.0, 1, nuisances=0)
+    found = simplified(evidence, Round(left(50.0), (gain, square)), 0.0)
+    [less] = [item for item in found.tried if item.insertion is square.insertion]
+    assert [*less.fit.values] == ["law.quadratic"]
+    assert less.fit.criterion - gain.fit.criterion == pytest.approx(0.2)
+    unexplained = Round(left(50.0), (replace(square, fit=replace(square.fit, misfit=5e3, goodness=0.0)),))
+    assert simplified(evidence, unexplained, 0.0) is unexplained  # what is idle now another effect may wake
+    parabola = candidate("parabola", 1000.2, 1, nuisances=0)  # FAULT: a drift without a rate was named beside an offset
+    parabola.insertion.spot = square.insertion.spot
+    kept = simplified(evidence, Round(left(50.0), (parabola, square)), 0.0)
+    assert [item.fit for item in kept.tried] == [parabola.fit, square.fit]
+    bow = replace(square, insertion=SimpleNamespace(**vars(square.insertion)))  # FAULT: a misalignment without its
+    bow.insertion.fault = SimpleNamespace(**{**vars(square.insertion.fault), "enters": "force"})  # second order: a bow
+    assert simplified(evidence, Round(left(50.0), (gain, bow)), 0.0).tried[1].fit is bow.fit
+    parabola.insertion.spot = Spot("a", "c")
+    assert simplified(evidence, Round(left(50.0), (parabola, square)), 0.0).tried[1].fit is not square.fit
+
+
+@pytest.mark.parametrize(
+    ("share", "criterion", "meant"),
+    [((1.0006, 0.0008), -9.0, "play"), ((1.01, 0.0008), 1.0, "play"), ((1.01, 0.0008), -9.0, "hysteresis")],
+)
+def test_a_law_gives_way_to_a_case_of_it_once_both_are_as_exact_as_the_data_ask(share, criterion, meant):
+    """FAULT: a lag of 0.8 samples made a share of 1.0046 +- 0.002 of what was a play, and both were named."""
+
+    def memory(physics: str, cases: tuple[str, ...], simpler: dict, fit: Fit, block: str = "controller") -> Candidate:
+        spot = Spot(block, "output")
+        fault = SimpleNamespace(special_cases=cases, simpler=simpler, sizes=(), enters="signal")
+        names = tuple(name for name in fit.values if name.startswith(physics))
+        own = {"depends_on": "", "law": physics, "smoothed": ("t",), "fault": fault}
+        return Candidate(SimpleNamespace(physics=physics, spot=spot, key=f"{physics}@{spot}", free=names, **own), fit)
+
+    case = memory("play", (), {}, law({"play.width": (4.27, 0.01)}))
+    wide = law({"hysteresis.share": (1.0046, 0.002), "hysteresis.width": (4.28, 0.01)})
+    wider = memory("hysteresis", ("play",), {"share": (1.0, "play")}, replace(wide, misfit=980.0))
+    shorter = law({"hysteresis.share": share, "hysteresis.width": (4.31, 0.001)})
+    shorter = replace(shorter, misfit=1000.0 - np.log(ROWS) + criterion)
+
+    def sharpened(fit: Fit, laws: list) -> tuple[None, Fit]:
+        return None, shorter if laws[0].physics == "hysteresis" else fit
+
+    there = replace(wider, insertion=memory("hysteresis", ("play",), {}, wider.fit, "valve").insertion)
+    case_there = replace(case, insertion=memory("play", (), {}, case.fit, "valve").insertion)
+    found = Round(left(50.0), (wider, case, there, case_there))
+    after, chosen = nested(SimpleNamespace(sharpened=sharpened), found, wider, 0.0)
+    assert chosen.insertion.physics == meant
+    assert chosen.fit in (wider.fit, case.fit)  # as approximate as what is fitted beside it
+    assert [after.of(item).fit.misfit for item in (wider, there)] == [1000.0 if meant == "play" else 980.0] * 2
+    if meant == "play":  # FAULT: only one place of the play was sharpened, so that the right one was not listed
+        effect = effect_of(chosen, after, 0.0)
+        assert effect.members == {"play": 1.0}
+        assert {spot.block for spot in effect.spots} == {"controller", "valve"}
+    with_noise_left = replace(case, fit=replace(case.fit, misfit=5e3, goodness=0.0))
+    untouched = Round(left(50.0), (wider, with_noise_left))
+    assert nested(SimpleNamespace(), untouched, wider, 0.0) == (untouched, wider)
 
 
 def test_a_rejection_is_void_once_another_effect_is_in():
@@ -299,7 +436,7 @@ def test_a_rejection_is_void_once_another_effect_is_in():
         again.append(before.misfit)
         return Round(before, (bow, replaced(coupling, 990.0, 11)))
 
-    trials = SimpleNamespace(round=tried, refitted=lambda *_: (without,), slack=0.0)
+    trials = SimpleNamespace(round=tried, refitted=lambda *_: (without,), slack=0.0, evidence=None)
     rounds = [Round(base, (coupling, bow_alone)), Round(coupling.fit, (rub,))]
     chosen, _ = _reconsidered(trials, base, (coupling, rub), rounds)
     assert again[0] == 2e5
@@ -325,14 +462,14 @@ def test_what_holds_a_law_as_a_special_case_is_no_rival_unless_it_explains_more(
     before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
     found, wider = candidate("lag", 980.0, 1), candidate("missing_mode", 980.0, 2)
     assert set(effect_of(found, Round(before, (found, wider)), 0.0).members) == {"lag", "missing_mode"}
-    wider.insertion.fault.simpler = {"frequency": (np.inf, "lag")}
+    wider.insertion.fault.special_cases = ("lag",)
     assert set(effect_of(found, Round(before, (found, wider)), 0.0).members) == {"lag"}
     signal, same = candidate("coupling", 980.0, 2), candidate("coupling", 980.0, 1)
     signal.insertion.fault.enters = same.insertion.fault.enters = "signal"  # a force once more, with more parameters
     assert set(effect_of(found, Round(before, (found, signal)), 0.0).members) == {"lag"}
     assert set(effect_of(found, Round(before, (found, same)), 0.0).members) == {"lag", "coupling"}
     better = candidate("missing_mode", 970.0, 2)
-    better.insertion.fault.simpler = wider.insertion.fault.simpler
+    better.insertion.fault.special_cases = ("lag",)
     assert set(effect_of(better, Round(before, (better, found)), 0.0).members) == {"lag", "missing_mode"}
 
 

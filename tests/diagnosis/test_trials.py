@@ -259,6 +259,30 @@ def test_look_alikes_of_a_choice_are_fitted_in_its_very_place():
     assert {item.insertion.key for item in every.tried} == {ripple.insertion.key, here.key, others[2].key}
 
 
+def test_look_alikes_are_fitted_at_places_that_no_free_signal_tells_from_that_of_a_choice():
+    """FAULT: beside a gain that depends on the error a square of the force was not fitted, which explained more.
+
+    It depends on no other signal, and acts one block before.
+    """
+
+    def at(physics: str, spot: str, other: str) -> tuple[SimpleNamespace, tuple]:
+        item = SimpleNamespace(
+            physics=physics, law=(physics, 0), spot=Spot(spot, "output"), depends_on=other, key=f"{physics}{spot}"
+        )
+        return item, ({}, [])
+
+    gain, _ = at("gain", "net", "pressure")
+    untried = (at("square", "net", ""), at("square", "area", ""), at("square", "speed", ""), at("drift", "area", ""))
+    other = at("square", "area", "speed")
+    classes = (
+        PlaceClass((Spot("area", "output"), Spot("net", "output")), 1.0),
+        PlaceClass((Spot("speed", "output"),), 0.0),
+    )
+    found = Round(left(1e6), (), classes, untried=(*untried, other))
+    assert [item.key for item, _ in found.beside(gain, {"square"}, every=False)] == ["squarenet", "squarearea"]
+    assert [item.key for item, _ in found.beside(gain, (), every=True)] == ["squarenet"]
+
+
 @pytest.mark.parametrize(("goodness", "tried"), [(0.5, ["lag"]), (0.0, ["lag", "hum"])])
 def test_beside_noise_a_line_is_hum_of_the_instruments(goodness, tried):
     """FAULT: of a healthy drive 50 Hz of 0.6 of the noise in one reading was called a periodic disturbance."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorsim.diagnosis.catalogue.insertion import Spot
-from rotorsim.diagnosis.conclude.result import Effect
+from rotorsim.diagnosis.conclude.result import Effect, taken_twice
 from rotorsim.diagnosis.conclude.validation import Proof, is_faint, is_material, material_effects, prove, prove_by_error
 from rotorsim.diagnosis.conclude.verdict import is_no_explanation, nearest, places_of, verdict_of
 from rotorsim.diagnosis.evidence.evidence import HeldScore, Score
@@ -72,6 +72,24 @@ def test_what_is_in_all_channels_as_the_loop_demands_is_a_force(monkeypatch, bas
     assert residual.is_force(left(base), None) is force
     assert not asked or asked[0] == ("force", ("rotor.force[1]", "rotor.force[2]"))
     assert len(asked) < 2 or asked[1] == ("force", ("beam.force[4,1]", "beam.force[4,2]"))
+
+
+@pytest.mark.parametrize(
+    ("physics", "block", "twice"),
+    [
+        ("hysteresis", "controller", True),
+        ("hysteresis", "hysteresis", True),  # FAULT: five plays side by side were two hystereses, one behind the other
+        ("hysteresis", "motor", False),
+        ("lag", "hysteresis", False),
+    ],
+)
+def test_an_effect_behind_itself_was_taken_twice(physics, block, twice):
+    def effect(physics: str, block: str, name: str) -> Effect:
+        fault = SimpleNamespace(through={"input": "output"})
+        item = SimpleNamespace(physics=physics, spot=Spot(block, "output"), name=name, fault=fault)
+        return Effect(SimpleNamespace(insertion=item), {physics: 1.0}, {}, ())
+
+    assert taken_twice([effect("hysteresis", "controller", "hysteresis"), effect(physics, block, "second")]) is twice
 
 
 def test_what_nothing_was_found_for_is_outside_or_nothing():

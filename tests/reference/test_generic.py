@@ -389,6 +389,9 @@ def test_scores_of_known_answers(tmp_path: Path) -> None:
         {"transport_delay": 0.25},
     )
     assert judged["achieved"] == pytest.approx(0.5)
+    second = score.judge(read | {"accepted": {"transport_delay": ["valve.output"]}}, answer)
+    assert (second["located"], second["listed"]) == ({"transport_delay": False}, {"transport_delay": True})
+    assert "| ... or at any place reported | 1/1" in tables.markdown(tables.summary([second]), "title")
     page = tables.markdown(tables.summary([judged]), "title")
     assert "| names, 1/n in a class of n | mean 0.25 (1) |" in page
     assert "| classes of places reported | mean 2 (1) |" in page

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -259,26 +259,28 @@ class _Finder:
         """Yield the block behind every scalar signal: for all or one that take it, for its recording, or for both."""
         if self.diagram.turns:
             return  # of what turns, the physics are declared
-        name, [(key, output)] = self._new_name(), self.fault.through.items()
+        [(key, output)] = self.fault.through.items()
         for port in (port for port in node.outputs.values() if port.shape == ()):
             start = Endpoint(node.name, port.name)
             taken = [wire for wire in self.diagram.wires if wire.source == start]
             recorded = str(start) in self.recorded and node.block.category != "input"
             shown = self.diagram.measured.get(start, start)
             cut = [(str(wire.source), str(wire.target)) for wire in taken]
-            onward = [(f"{name}.{output}", str(wire.target)) for wire in taken]
             sides = ("", *(("reading", "both") if recorded else ()))
             for side, other in product(sides, self.others.of(start) if self.fault.argument else (None,)):
                 if (side != "reading" and not taken) or (side == "both" and shown != start):
                     continue
                 if other is not None and side != "reading" and self.others.follows(other, start):
                     continue  # an algebraic loop
-                if other is not None and side == "" and self.fault.own and self.others.meets(other, start):
+                if other is not None and side == "" and self.fault.own and self.others.meets(other, start, self._joint):
                     continue
+                named = self._by_name(other, taken) if side == "" else self
+                name = named._new_name()
+                onward = [(f"{name}.{output}", str(wire.target)) for wire in taken]
                 source = shown if side == "reading" else start
                 feeds = {key: str(start), **({} if other is None else {self.fault.argument: str(other)})}
                 taps = {key: str(source), **({} if other is None else {self.fault.argument: str(other)})}
-                yield self._insertion(
+                yield named._insertion(
                     Spot(node.name, port.name, side=side),
                     name,
                     [*((tap, f"{name}.{k}") for k, tap in taps.items()), *(onward if side != "reading" else ())],
@@ -294,20 +296,33 @@ class _Finder:
         target = self.diagram.nodes[wire.target.block]
         if self.fault.adds and target.block.type_name == "sum":
             return  # it is the same behind the sum
-        name, [(key, output)] = self._new_name(), self.fault.through.items()
+        [(key, output)] = self.fault.through.items()
         ends = [Endpoint(target.name, port) for port in target.outputs]
         for other in self.others.of(start) if self.fault.argument else (None,):
             if other is not None and any(self.others.follows(other, end) for end in ends):
                 continue  # an algebraic loop
+            named = self._by_name(other, [wire])
+            name = named._new_name()
             feeds = {key: str(start), **({} if other is None else {self.fault.argument: str(other)})}
             wires = [(source, f"{name}.{k}") for k, source in feeds.items()]
-            yield self._insertion(
+            yield named._insertion(
                 Spot(target.name, wire.target.port, side="branch"),
                 name,
                 [*wires, (f"{name}.{output}", str(wire.target))],
                 cut=[(str(wire.source), str(wire.target))],
                 feeds=feeds,
             )
+
+    @property
+    def _joint(self) -> str:
+        """The type of block behind which a law of two signals is one of the other signal: as it adds, or multiplies."""
+        return "sum" if self.fault.adds else "product"
+
+    def _by_name(self, other: Endpoint | None, taken: Sequence[Wire]) -> _Finder:
+        """Return the finder under the name that the law has where the other signal is the integral of that in wires."""
+        if other is None or not self.fault.of_integral or not self.others.integrates(other, taken):
+            return self
+        return replace(self, fault=replace(self.fault, physics=self.fault.of_integral))
 
     # -- changes of a block ------------------------------------------------------------------------------------------
 

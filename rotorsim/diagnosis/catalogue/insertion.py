@@ -132,7 +132,12 @@ class Insertion:
     def stated_once(self) -> tuple[str, ...]:
         """The names of the parameters that follow the size of the data and are not fitted at first."""
         fixed = self.fault.fixed.items()
-        return tuple(f"{self.name}.{key}" for key, item in fixed if isinstance(item, (Of, Longest, Sampled)))
+        return tuple(f"{self.name}.{key}" for key, item in fixed if isinstance(item, (Of, Longest)))
+
+    @property
+    def smoothed(self) -> tuple[str, ...]:
+        """The names of the parameters that follow the rate of samples: times by which a law is only approximated."""
+        return tuple(f"{self.name}.{key}" for key, item in self.fault.fixed.items() if isinstance(item, Sampled))
 
     @property
     def read_off(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import networkx as nx
@@ -53,10 +53,11 @@ class OtherSignals:
         graph, (a, b) = self._at_once, ((place.block, place.port), (end.block, end.port))
         return a in graph and b in graph and nx.has_path(graph, a, b)
 
-    def meets(self, end: Endpoint, place: Endpoint) -> bool:
-        """Return whether a signal, behind gains, enters a sum that gives, or takes, that of a place.
+    def meets(self, end: Endpoint, place: Endpoint, joint: str) -> bool:
+        """Return whether a signal, behind gains, enters a sum or a product that gives, or takes, that of a place.
 
-        Gains between sum and place are passed where nothing else takes or records what is between them.
+        joint: "sum", or "product" of factors alone. Gains between it and the place are passed where nothing else takes
+        or records what is between them.
         """
         giving, taking = [place], [place]
         while (before := self._before(giving[-1])) is not None and self._passed_on(before):
@@ -64,9 +65,29 @@ class OtherSignals:
         while (after := self._after(taking[-1])) is not None and self._passed_on(after):
             taking.append(after)
         ends = {wire.target.block for one in taking for wire in self._takers(one)}
-        sums = {name for name in {giving[-1].block, *ends} if self.diagram.nodes[name].block.type_name == "sum"}
-        entering = (wire.source for wire in self.diagram.wires if wire.target.block in sums)
+        ends = ends if joint == "sum" or len(self._takers(place)) == 1 else set()
+        joints = {name for name in {giving[-1].block, *ends} if self._is_joint(name, joint)}
+        entering = (wire.source for wire in self.diagram.wires if wire.target.block in joints)
         return any(self._origin(source) == end for source in entering)
+
+    def integrates(self, end: Endpoint, wires: Sequence[Wire]) -> bool:
+        """Return whether a signal is what an integrator gives, to which alone a wire leads, by gains and sums."""
+        passed: set[str] = set()
+        while len(wires) == 1 and wires[0].target.block not in passed:
+            node = self.diagram.nodes[wires[0].target.block]
+            out = Endpoint(node.name, "output")
+            if node.block.type_name == "integrator":
+                return out == end
+            if node.block.type_name not in ("gain", "sum") or str(out) in self.recorded:
+                return False
+            passed.add(node.name)
+            wires = self._takers(out)
+        return False
+
+    def _is_joint(self, name: str, joint: str) -> bool:
+        """Return whether a block is a sum, or a product that divides by nothing."""
+        block = self.diagram.nodes[name].block
+        return block.type_name == joint and (joint == "sum" or "/" not in block.option.operations)
 
     def _before(self, end: Endpoint) -> Endpoint | None:
         """Return the signal that a gain makes this one of."""

@@ -22,6 +22,12 @@ def values_in(document: Mapping[str, Any], values: Mapping[str, float]) -> dict[
     return {**document, "parameters": parameters, "blocks": blocks}
 
 
+def value_at(document: Mapping[str, Any], name: str) -> float:
+    """Return the number that a document states for a parameter of a block ("play.width")."""
+    block, _, key = name.rpartition(".")
+    return float(document["blocks"][block]["parameters"][key])
+
+
 def structure_of(document: Mapping[str, Any]) -> str:
     """Return what is the same of documents that differ in values alone: types and laws of blocks, and all wires."""
     blocks = {

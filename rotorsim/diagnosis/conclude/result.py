@@ -156,8 +156,15 @@ class Diagnosis(Shown):
 
 
 def taken_twice(effects: Sequence[Effect]) -> bool:
-    """Return whether one effect was taken twice at one place."""
-    keys = [(effect.physics, effect.candidate.insertion.spot) for effect in effects]
+    """Return whether one effect was taken twice at one place, or behind itself: at the output of its own block."""
+    laws = [effect.candidate.insertion for effect in effects]
+    given = {Spot(law.name, port): law.spot for law in laws for port in law.fault.through.values()}
+    keys = []
+    for law in laws:
+        spot, passed = law.spot, {law.spot}
+        while (spot := given.get(spot, spot)) not in passed:
+            passed.add(spot)
+        keys.append((law.physics, spot))
     return len(set(keys)) < len(keys)
 
 

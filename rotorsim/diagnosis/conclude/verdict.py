@@ -39,13 +39,13 @@ def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
     case, and explains no more than further parameters cost, is no rival; nor is a force of a machine once more as a
     signal, with more of them.
     """
-    candidate = _as_tried(candidate, found)
+    candidate = found.as_tried(candidate)
     own = candidate.insertion.physics
     scale = max(candidate.fit.excess_variance, 1.0)
     possible = [item for item in found.tried if not item.fit.failure and item.physical]
     best: dict[str, float] = {}
     for item in possible:
-        wider = own in (other for _, other in item.insertion.fault.simpler.values())
+        wider = own in item.insertion.fault.special_cases
         more_free = len(item.fit.free) > len(candidate.fit.free)
         wider |= more_free and (candidate.insertion.fault.enters, item.insertion.fault.enters) == ("force", "signal")
         if wider and item.fit.criterion >= candidate.fit.criterion:
@@ -63,12 +63,6 @@ def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
         if item.insertion.physics in members and item.insertion.physics != own:
             rivals.setdefault(item.insertion.physics, item)
     return Effect(candidate, members, rivals, places)
-
-
-def _as_tried(candidate: Candidate, found: Round) -> Candidate:
-    """Return a candidate with the fit that it has in a round."""
-    same = (item.fit for item in found.tried if item.insertion.key == candidate.insertion.key and not item.fit.failure)
-    return Candidate(candidate.insertion, next(same, candidate.fit))
 
 
 def converter_effect(converter: Converter, fit: Fit) -> Effect:
@@ -216,7 +210,7 @@ def rejected_of(selection: Selection, effects: Sequence[Effect], terms: Terms) -
     passed = {name for effect in effects for name in effect.members}
     passed |= {name for name, _ in unfinished(selection, effects, terms)}
     first = selection.first.best
-    best = _as_tried(effects[0].candidate if first is None else first, selection.first).fit
+    best = selection.first.as_tried(effects[0].candidate if first is None else first).fit
     out: dict[str, str] = {}
     for item in selection.first.tried:
         if not item.fit.stopped and item.insertion.physics not in passed and len(out) < REJECTED:

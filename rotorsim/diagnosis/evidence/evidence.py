@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -242,6 +242,9 @@ class Evidence(Protocol):
     def finished(self, fit: Fit, chosen: Sequence[Insertion]) -> Fit:
         """Return a fit with what the chosen faults state once free as well, where that explains more."""
 
+    def sharpened(self, fit: Fit, chosen: Sequence[Insertion]) -> tuple[Evidence, Fit]:
+        """Return a fit with finer approximations of laws that follow the rate of samples, and the evidence for it."""
+
     def separation(self, first: Fit, second: Fit) -> Change | None:
         """Return the further run that separates two hypotheses most; None if none does, or none was searched."""
 
@@ -330,6 +333,10 @@ class Defaults:
     def finished(self, fit: Fit, chosen: Sequence[Insertion]) -> Fit:
         """Return the fit: what a fault states once stays."""
         return fit
+
+    def sharpened(self, fit: Fit, chosen: Sequence[Insertion]) -> tuple[Self, Fit]:
+        """Return the fit: no law follows the rate of samples."""
+        return self, fit
 
     def separation(self, first: Fit, second: Fit) -> Change | None:
         """Return None: no further runs were searched."""

@@ -23,13 +23,15 @@ Job = tuple[dict[str, Any], list[list[dict[str, float]]]]  # a document with an 
 class Candidate:
     """An insertion and the refitted diagram with it.
 
-    astray: parameters of the diagram that have left all reason. final: whether the fit was carried to the end.
+    astray: parameters of the diagram that have left all reason. final: whether the fit was carried to the end. needed:
+    whether the diagram was refitted without it from there, and explains less.
     """
 
     insertion: Insertion
     fit: Fit
     astray: str = ""
     final: bool = True
+    needed: bool = False
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -52,8 +54,8 @@ class Candidate:
         """Why this cannot be, empty where it can.
 
         A parameter of the fault ended at a bound; none of its sizes differs significantly from zero (their 90 %
-        intervals hold it, were the rest of its law known); its 90 % interval holds a simpler law; or it needs a
-        parameter of the diagram far beyond all reason, as one that cancels the effect is.
+        intervals hold it, were the rest of its law known), unless it is needed; its 90 % interval holds a simpler law;
+        or it needs a parameter of the diagram far beyond all reason, as one that cancels the effect is.
         """
         fit = self.fit
         if fit.failure:
@@ -64,7 +66,7 @@ class Candidate:
         sizes = [name for name in self.parameters if name.rpartition(".")[2] in self.insertion.fault.sizes]
         std = fit.alone if len(fit.alone) else np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
         significant = (abs(fit.theta[j]) > Z90 * std[j] for j in map(names.index, sizes))
-        if sizes and not any(significant):
+        if sizes and not self.needed and not any(significant):
             keys = " and ".join(name.rpartition(".")[2] for name in sizes)
             return f"its {keys} is not significantly different from zero"
         if self.simpler is not None:
@@ -116,6 +118,16 @@ class Round:
         fitted = [item for item in self.tried if not item.fit.failure]
         return min(fitted, key=lambda item: item.fit.misfit, default=None)
 
+    def as_tried(self, candidate: Candidate) -> Candidate:
+        """Return a candidate with the fit that it has in this round."""
+        same = self.of(candidate)
+        return Candidate(candidate.insertion, candidate.fit if same is None else same.fit)
+
+    def of(self, candidate: Candidate) -> Candidate | None:
+        """Return what was tried here of a candidate; None if it was not, or has no fit."""
+        fitted = (item for item in self.tried if not item.fit.failure)
+        return next((item for item in fitted if item.insertion.key == candidate.insertion.key), None)
+
     def worth_again(self, most: int) -> dict[str, dict[str, float]]:
         """Return the values of the best fits that another measure of the noise may make the best, by their keys."""
         fitted = [item for item in self.tried if not item.fit.failure]
@@ -133,12 +145,16 @@ class Round:
     def beside(self, chosen: Insertion, physics: Collection[str], *, every: bool) -> list[tuple[Insertion, Job]]:
         """Return what is left to try beside a choice: its law where it promises as much, these physics in its place.
 
-        every: all physics there that depend on no further signal, or on the same one.
+        Or at those that no free signal tells from it. They depend on no further signal, or on the same one. every: all
+        physics in its very place.
         """
         pairs = {item.key: (item, job) for item, job in self.elsewhere if item.law == chosen.law}
+        alike = next((one.places for one in self.classes if chosen.spot in one.places), ())
         for item, job in self.untried:
-            named = item.physics in physics and item.depends_on == chosen.depends_on
-            if item.spot == chosen.spot and (named or (every and item.depends_on in ("", chosen.depends_on))):
+            here = item.spot == chosen.spot
+            if item.depends_on in ("", chosen.depends_on) and (
+                (here and every) or ((here or item.spot in alike) and item.physics in physics)
+            ):
                 pairs[item.key] = item, job
         return [*pairs.values()]
 

@@ -11,12 +11,12 @@ from scipy.stats import chi2
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Spot
-from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.disturbance import disturbance
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_noise
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import SAME, Candidate, Round
+from rotorsim.diagnosis.search.idle import nested, simplified, without_idle
 from rotorsim.diagnosis.search.promises import level_of, noticed_from
 from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.identification.coordinates import ANGLE_UNIT
@@ -106,7 +106,9 @@ def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Se
     chosen: tuple[Candidate, ...] = beam[0]
     rounds = [first]
     if earlier is not None and len(earlier.chosen) > 1:
-        chosen, rounds = _found_before(trials, base, first, earlier) or (chosen, rounds)
+        before = _found_before(trials, base, first, earlier)
+        if before is not None and before[0][-1].fit.criterion < chosen[-1].fit.criterion:
+            chosen, rounds = before
     while not is_adequate(chosen[-1].fit) and len(chosen) < CRITERIA.most_effects:
         if first.classes and _is_disturbed(chosen[-1].fit, trials.evidence):
             break
@@ -129,8 +131,10 @@ def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Se
         rounds = [*rounds, after]
     if is_adequate(chosen[-1].fit) or _share(chosen[-1].fit, base) >= CRITERIA.cause:
         chosen, rounds = _reconsidered(trials, base, chosen, rounds)
-        chosen, rounds = _completed(trials, chosen, rounds)
+        chosen, rounds = _completed(trials, base, chosen, rounds)
+        chosen, rounds = _narrowed(trials, base, chosen, rounds)
         chosen = _simplified(trials, chosen)
+        first = next((found for found in rounds if found.before is base), first)  # with what was looked at since
     return Selection(base, chosen, tuple(rounds), chosen[-1].fit, level, trials.counts, slack, first)
 
 
@@ -194,26 +198,50 @@ def _round(trials: Trials, before: Fit) -> Round:
             found, beside = trials.beside(found, nearest), nearest
         if found.best is best and found.nearest is nearest:
             break
-    return found
+    return simplified(trials.evidence, found, trials.slack)
 
 
 def _completed(
-    trials: Trials, chosen: tuple[Candidate, ...], rounds: list[Round]
+    trials: Trials, base: Fit, chosen: tuple[Candidate, ...], rounds: list[Round]
 ) -> tuple[tuple[Candidate, ...], list[Round]]:
     """Return the choice with its known look-alikes fitted to the end beside the others; the last may give way to one.
 
     Look-alikes: what a declaration names as ``confused_with``, one way or the other; at a place where the last explains
-    more, all laws: what it imitates may not be declared.
+    more, all laws: what it imitates may not be declared. What explains more alone takes the place of several.
     """
+
+    def completed(found: Round, physics: Collection[str], item: Candidate, *, every: bool = False) -> Round:
+        more = trials.completed(found, physics, item.insertion, every=every)
+        return simplified(trials.evidence, more, trials.slack)
+
     rounds = list(rounds)
     for k, item in enumerate(chosen):
-        rounds[k] = trials.completed(rounds[k], _alike(item, rounds[k]), item.insertion)
+        rounds[k] = completed(rounds[k], _alike(item, rounds[k]), item)
+        alone = rounds[k].best if len(chosen) > 1 and rounds[k].before is base else None
+        if alone is not None and alone.fit.criterion < chosen[-1].fit.criterion - trials.slack:
+            return _completed(trials, base, (alone,), [rounds[k]])
     for _ in range(LAW_AND_PLACE_TURNS):
         best = rounds[len(chosen) - 1].best
         if best is None or best.fit.criterion >= chosen[-1].fit.criterion - trials.slack:
             break
         chosen = (*chosen[:-1], best)
-        rounds[len(chosen) - 1] = trials.completed(rounds[len(chosen) - 1], (), best.insertion, every=True)
+        rounds[len(chosen) - 1] = completed(rounds[len(chosen) - 1], (), best, every=True)
+    return chosen, rounds
+
+
+def _narrowed(
+    trials: Trials, base: Fit, chosen: tuple[Candidate, ...], rounds: list[Round]
+) -> tuple[tuple[Candidate, ...], list[Round]]:
+    """Return the choice with cases of its laws in their place, where these explain as much; see `nested`."""
+    for k in reversed(range(len(chosen))):
+        found, other = nested(trials.evidence, rounds[k], rounds[k].as_tried(chosen[k]), trials.slack)
+        rounds = [*rounds[:k], found, *rounds[k + 1 :]]
+        if other.insertion.key == chosen[k].insertion.key:
+            continue
+        if k == len(chosen) - 1:
+            chosen = (*chosen[:-1], other)
+        elif others := trials.refitted(base, [item for j, item in enumerate(chosen) if j != k], chosen[-1].fit):
+            chosen, rounds = (*others, other), [*rounds[:k], *rounds[k + 1 :], found]
     return chosen, rounds
 
 
@@ -224,44 +252,10 @@ def _alike(item: Candidate, found: Round) -> set[str]:
 
 
 def _simplified(trials: Trials, chosen: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
-    """Return the choice without parameters of its laws whose size the data do not tell from zero.
-
-    One by one, the least significant first, with the angle that means nothing without it, while the criterion falls.
-    """
-    fit = chosen[-1].fit
-    while True:
-        names = [item.name for item in fit.free]
-        ratio: dict[str, float] = {}
-        for effect in chosen:
-            own = [name for name in effect.insertion.free if name in names]
-            for name in own:
-                j = names.index(name)
-                item, std = fit.free[j], float(np.sqrt(max(fit.covariance[j, j], 0.0)))
-                may_be_zero = item.unit != ANGLE_UNIT and item.low <= 0 <= item.high
-                if (
-                    may_be_zero
-                    and abs(fit.theta[j]) <= CRITERIA.significant * std
-                    and len({*own} - _with_angle(name, own)) > 0
-                ):
-                    ratio[name] = abs(float(fit.theta[j])) / std if std else 0.0
-        for name in sorted(ratio, key=lambda name: ratio[name]):
-            gone = _with_angle(name, names)
-            document = values_in(fit.document, {**fit.values, name: 0.0})
-            document["identify"] = {key: value for key, value in document["identify"].items() if key not in gone}
-            less = trials.evidence.fit(document, [[{}]])
-            if not less.failure and less.criterion < fit.criterion:
-                fit = less
-                break
-        else:
-            return (*chosen[:-1], Candidate(chosen[-1].insertion, fit)) if fit is not chosen[-1].fit else chosen
-
-
-def _with_angle(name: str, names: Collection[str]) -> set[str]:
-    """Return a parameter with the angle of the same pair, where there is one."""
-    block, _, key = name.rpartition(".")
-    letters = key.rstrip("0123456789")
-    angles = {f"{block}.{key.replace('amplitude', 'phase')}", f"{block}.{letters}_phase{key[len(letters) :]}"}
-    return {name, *(angles & set(names))}
+    """Return the choice without parameters of its laws whose size the data do not tell from zero."""
+    last = chosen[-1]
+    fit = without_idle(trials.evidence, last.fit, [effect.insertion for effect in chosen])
+    return chosen if fit is last.fit else (*chosen[:-1], Candidate(last.insertion, fit))
 
 
 def _reconsidered(

@@ -393,7 +393,9 @@ class OutputErrorSearch:
         H = here.information / np.outer(scale, scale) + damping * np.eye(len(scale))
         H[held], H[:, held], H[held, held] = 0.0, 0.0, 1.0
         g = np.where(held, 0.0, here.gradient / scale)
-        return np.asarray(-np.linalg.lstsq(H, g, rcond=1e-14)[0] / scale)
+        return np.where(
+            held, 0.0, -np.linalg.lstsq(H, g, rcond=1e-14)[0] / scale
+        )  # rounding over a small scale is large
 
     def _moved(self, unknowns: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Return the unknowns after a step, within the bounds; what is positive goes up and down a factor at a time."""

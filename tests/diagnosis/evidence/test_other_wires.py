@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from rotorsim import load_recording
 from rotorsim.diagnosis.catalogue.finder import insertions
+from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
@@ -191,3 +193,81 @@ def test_what_depends_on_another_wire_is_tried_with_signals_that_differ_by_more_
     ]
     for item in found[::7]:
         load(item.document(diagram.document, dict.fromkeys(item.fault.free, 1.0)))
+
+
+GENERATOR = {  # e = k i W behind a field of 1/L and R, W recorded
+    "schema_version": 1,
+    "name": "generator",
+    "blocks": {
+        "voltage": {"type": "recorded"},
+        "speed": {"type": "recorded"},
+        "balance": {"type": "sum", "parameters": {"signs": "+-"}},
+        "inverse_inductance": {"type": "gain", "parameters": {"gain": 5.0}},
+        "current": {"type": "integrator"},
+        "resistance": {"type": "gain", "parameters": {"gain": 2.0}},
+        "flux": {"type": "gain", "parameters": {"gain": 0.5}},
+        "emf": {"type": "product"},
+        "voltmeter": {"type": "gain", "parameters": {"gain": 1.0}},
+    },
+    "wires": [
+        ["voltage.output", "balance.input1"],
+        ["resistance.output", "balance.input2"],
+        ["balance.output", "inverse_inductance.input"],
+        ["inverse_inductance.output", "current.input"],
+        ["current.output", "resistance.input"],
+        ["current.output", "flux.input"],
+        ["flux.output", "emf.input1"],
+        ["speed.output", "emf.input2"],
+        ["emf.output", "voltmeter.input"],
+    ],
+    "record": ["voltmeter.output"],
+}
+
+
+RECORDED = ["voltage.output", "speed.output", "voltmeter.output"]
+
+
+def without_resistance() -> dict:
+    document = copy.deepcopy(GENERATOR)
+    document["blocks"]["balance"]["parameters"]["signs"] = "+"
+    del document["blocks"]["resistance"]
+    document["wires"] = [wire for wire in document["wires"] if not any("resistance" in end for end in wire)]
+    return document
+
+
+def test_what_an_integral_adds_to_its_own_rate_is_a_leak():
+    """FAULT: each leak was named as cross-talk from the integral as well."""
+    document = without_resistance()
+    found = [item for item in insertions(load(document), RECORDED) if item.depends_on == "current.output"]
+    leaks = [item for item in found if item.physics == "integrator_leak"]
+    before = {"voltage.output", "balance.output", "inverse_inductance.output"}
+    assert {str(item.spot) for item in leaks} == before
+    assert not before & {str(item.spot) for item in found if item.physics == "cross_talk"}
+    assert {item.name for item in leaks} == {"integrator_leak"}
+    load(leaks[0].document(document, {"linear": -1.0}))
+    beside = insertions(load(GENERATOR), RECORDED)  # where it enters the same sum it is a gain of the resistance
+    assert not [i for i in beside if (i.physics, i.depends_on) == ("integrator_leak", "current.output")]
+
+
+def test_what_an_integral_adds_in_front_of_a_rate_that_is_recorded_is_no_leak():
+    found = insertions(load(without_resistance()), [*RECORDED, "balance.output"])
+    leaks = [i for i in found if (i.physics, i.depends_on) == ("integrator_leak", "current.output")]
+    assert {str(item.spot) for item in leaks} == {"balance.output", "inverse_inductance.output"}
+    assert {item.spot.side for item in leaks} == {""}
+
+
+def test_a_gain_that_depends_on_another_factor_of_a_product_is_a_law_of_that_factor():
+    """FAULT: an iron that saturates was a gain of the voltage, or of the speed, that depends on the current."""
+
+    def places(items: list[Insertion], law: str) -> set[str]:
+        of_law = (i for i in items if i.physics == "signal_dependent_gain" and i.values["law"] == law)
+        return {str(i.spot) for i in of_law if i.depends_on == "current.output" and not i.spot.side}
+
+    for law in ("linear", "square"):  # of its square and its cube
+        assert not places(insertions(load(GENERATOR), RECORDED), law) & {"emf.output", "speed.output"}
+    assert {"emf.output", "speed.output"} <= places(
+        insertions(load(GENERATOR), RECORDED), "knee"
+    )  # a polynomial has none
+    divided = copy.deepcopy(GENERATOR)
+    divided["blocks"]["emf"]["parameters"] = {"operations": "/*"}
+    assert "speed.output" in places(insertions(load(divided), RECORDED), "linear")

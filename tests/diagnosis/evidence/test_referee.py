@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -121,3 +122,36 @@ def test_what_the_data_leave_open_is_no_number_of_the_statement(std, other, free
     item = SimpleNamespace(stated_once=("step.width",))
     found = WaveformEvidence.finished(SimpleNamespace(fit=fit), before, [item])
     assert found.values.keys() == free
+
+
+@pytest.mark.parametrize(
+    ("misfits", "steps", "time"),
+    [
+        ([1100.0, 1050.0, 1049.5, 1000.0], 16, 0.05),  # until it shows no more: a fall by less than 1
+        ([1100.0, 1050.0, 1051.5], 4, 0.2),  # explains less
+        ([1100.0, None], 1, 0.8),  # diverges
+        ([1100.0, 1000.0, 900.0, 800.0, 700.0], 64, 0.0125),  # no more steps between samples
+    ],
+)
+def test_laws_are_sharpened_until_that_no_longer_shows(misfits, steps, time):
+    """FAULT: a play that lags by 0.8 samples was 4.2705 +- 0.0061 wide instead of 4.3129."""
+
+    @dataclass(frozen=True)
+    class Steps:
+        least: int = 1
+
+        def fit(self, document, starts):
+            at = [0.8, 0.2, 0.05, 0.0125].index(document["blocks"]["play"]["parameters"]["time_constant"])
+            assert self.least == 4**at
+            left = misfits[at]
+            return Fit(document, failure="it diverges") if left is None else Fit(document, misfit=left)
+
+    start = {"blocks": {"play": {"parameters": {"time_constant": 0.8}}}}
+    item = SimpleNamespace(smoothed=("play.time_constant",))
+    finer, found = WaveformEvidence.sharpened(Steps(), Fit(start, misfit=misfits[0]), [item])
+    assert (finer.least, found.document["blocks"]["play"]["parameters"]["time_constant"]) == (
+        steps,
+        pytest.approx(time),
+    )
+    none = WaveformEvidence.sharpened(Steps(), Fit(start, misfit=1.0), [SimpleNamespace(smoothed=())])
+    assert (none[0].least, none[1].document) == (1, start)

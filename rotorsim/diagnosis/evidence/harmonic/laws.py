@@ -262,7 +262,7 @@ class _Beside:
     def _law(
         self, one: PlacedLaw, values: Mapping[str, float], limits: Mapping[str, tuple[float, float]]
     ) -> PeriodicLaw | None:
-        """Return a law alone; None where what it adds does not follow from periodic signals at once."""
+        """Return a law alone; None where it does not stand alone."""
         document = one.document(values, limits)
         key = repr((one.item.kind, document["blocks"], document["wires"], document["identify"], one.outputs))
         if key not in self._driven:
@@ -272,8 +272,8 @@ class _Beside:
                 outputs = [entries_of(diagram, f"{LAW_ALONE}.{port}")[k] for port, k in one.outputs]
                 inputs = [name for port in one.inputs for name in entries_of(diagram, f"{port}.output")]
                 taken = np.array([one.sources.index(name) if name else -1 for name in one.taken], int)
-                law = PeriodicLaw(driven_equations(diagram, outputs, inputs, diagram.free), taken)
-                self._driven[key] = law if law.is_known else None
+                equations = driven_equations(diagram, outputs, inputs, diagram.free)
+                self._driven[key] = PeriodicLaw(equations, taken)
         return self._driven[key]
 
 

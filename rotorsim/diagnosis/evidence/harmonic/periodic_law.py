@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,14 +11,20 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.identification.waveform.driven.equations import DrivenEquations
-from rotorsim.model.linearity import is_affine, jacobian
+from rotorsim.model.linearity import is_affine
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.balance import harmonics_of, samples_of
+
+MOST_SETTLINGS = 12  # of the motion of a law's own states, which are linear but for small terms
+SETTLED_STATE = 1e-6  # relative change of these states in an iteration, below which it was the last
 
 
 @dataclass(frozen=True, eq=False)
 class PeriodicLaw:
-    """A law alone, of c outputs, n states and m free parameters, x' = A x + b(t, v), y = g(t, x, v).
+    """A law alone, of c outputs, n states and m free parameters, x' = f(t, x, v), y = g(t, x, v).
+
+    Its settled motion is iterated about the mean A of df/dx: x <- (i k W - A)^-1 (f(t, x, v) - A x), order by order;
+    in one step where A is constant.
 
     taken (c,): of each output the signal whose place it takes, -1 where it is added to what is there.
     """
@@ -30,11 +36,6 @@ class PeriodicLaw:
     def bounds(self) -> np.ndarray:
         """The bounds of its free parameters, (2, m)."""
         return np.array([(item.low, item.high) for item in self.equations.free]).reshape(-1, 2).T
-
-    @cached_property
-    def is_known(self) -> bool:
-        """Whether its settled motion follows at once: it is linear in its states."""
-        return not ca.depends_on(ca.vertcat(0, ca.vec(self._factors)), self.equations.arguments[1])
 
     def is_affine(self, inputs: Sequence[int]) -> bool:
         """Return whether what it adds is linear in some of its inputs, with a factor that may follow the others."""
@@ -49,26 +50,22 @@ class PeriodicLaw:
         """Return harmonics 0..K of what it adds, and their derivatives by its parameters, (R, K+1, c, 1 + m).
 
         times (R, N), signals (R, N, s): at equal instants of a period, those that drive it and then others that
-        ``taken`` counts; speeds (R,) [rad/s]. Raises LinAlgError where A changes in a turn, or a state does not settle.
+        ``taken`` counts; speeds (R,) [rad/s]. Raises LinAlgError where its states do not settle.
         """
         n, m, p = self.equations.n, self.equations.m, self.equations.parameters(self._p, eta)
         (R, N), n_v = times.shape, len(self.equations.inputs)
-        x, x_eta = np.zeros((R, N, n)), np.zeros((R, N, n, m))
 
-        def at(functions: MatrixFunction) -> np.ndarray:
+        def at(functions: MatrixFunction, x: np.ndarray) -> np.ndarray:
             points = times.reshape(1, -1), x.reshape(R * N, n).T, signals[:, :, :n_v].reshape(R * N, n_v).T, p
             return functions(*points).reshape(R, N, *functions.shape)
 
+        x, x_eta = np.zeros((R, N, n)), np.zeros((R, N, n, m))
         if n:
-            A = at(self._matrix)
-            if np.ptp(A, axis=1).any():
-                raise np.linalg.LinAlgError("the factors change in a turn")
-            s = 1j * np.abs(speeds)[:, None, None, None] * np.arange(N // 2 + 1)[:, None, None]
-            gain = np.linalg.inv(s * np.eye(n) - A[:, :1])
-            x = samples_of((gain @ harmonics_of(at(self._rates), N // 2)[:, :, :, :1])[..., 0], N)
-            moved = gain @ harmonics_of(at(self._rates)[..., 1 + n :], N // 2)
-            x_eta = samples_of(moved.reshape(R, N // 2 + 1, n * m), N).reshape(R, N, n, m)
-        y = at(self._outputs)
+            A = at(self._rates, x)[..., 1 : 1 + n].mean(axis=1)
+            x = _settled(lambda x: at(self._rates, x)[..., :1], x[..., None], A, speeds)[..., 0]
+            by = at(self._rates, x)[..., 1:]
+            x_eta = _settled(lambda moved: by[..., :n] @ moved + by[..., n:], x_eta, A, speeds)
+        y = at(self._outputs, x)
         slopes = y[..., 1 + n :] + y[..., 1 : 1 + n] @ x_eta
         found = harmonics_of(np.concatenate([y[..., :1], slopes], axis=3), K)
         replaces = self.taken >= 0
@@ -78,14 +75,6 @@ class PeriodicLaw:
     @cached_property
     def _p(self) -> np.ndarray:
         return self.equations.model.parameter_vector()
-
-    @cached_property
-    def _factors(self) -> Any:
-        return jacobian(self.equations.f, self.equations.arguments[1])
-
-    @cached_property
-    def _matrix(self) -> MatrixFunction:
-        return MatrixFunction(self.equations.arguments, self._factors)
 
     @cached_property
     def _rates(self) -> MatrixFunction:
@@ -98,3 +87,17 @@ class PeriodicLaw:
     def _with_slopes(self, of: Any) -> MatrixFunction:
         """Return an expression with its derivatives by states and parameters, (k, 1 + n + m)."""
         return MatrixFunction(self.equations.arguments, ca.horzcat(of, self.equations.jacobian(of)))
+
+
+def _settled(rates: Callable[[np.ndarray], np.ndarray], x: np.ndarray, A: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+    """Return the settled motion (R, N, n, count) of states from a guess, with A (R, n, n). Raises LinAlgError."""
+    R, N, n, _ = x.shape
+    s = 1j * np.abs(speeds)[:, None, None, None] * np.arange(N // 2 + 1)[:, None, None]
+    gain = np.linalg.inv(s * np.eye(n) - A[:, None])
+    for _ in range(MOST_SETTLINGS):
+        waves = gain @ harmonics_of(rates(x) - A[:, None] @ x, N // 2)
+        before, x = x, samples_of(waves.reshape(R, N // 2 + 1, -1), N).reshape(x.shape)
+        change, size = (np.abs(part).max(axis=(0, 1)) for part in (x - before, x))
+        if (change <= SETTLED_STATE * size).all():
+            return x
+    raise np.linalg.LinAlgError("its states do not settle")
