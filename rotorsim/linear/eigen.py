@@ -94,14 +94,21 @@ def _images(system: SampledData, s: np.ndarray, v: np.ndarray) -> tuple[np.ndarr
     images = np.arange(-most, most + 1)
     parts = max(ceil(INSTANTS * (most + 1) / len(system.times)), INSTANTS)
     found = np.zeros((len(images), len(system.flow.C), len(s)), complex)
-    steps: dict[str, np.ndarray] = {}
+    seen: dict[str, np.ndarray] = {}  # C exp(A k h) of the parts of an interval, by its length
     state = v.astype(complex)
-    for start, length, (J, _) in zip(system.times, system.lengths, system.jumps, strict=True):
-        state, h = J @ state, length / parts
-        step = steps.setdefault(f"{h:.9e}", expm(system.flow.A * h))
-        for part in range(parts + 1):
-            weight = h / T * (0.5 if part in (0, parts) else 1.0)
-            turn = np.exp(-(s + 2j * pi / T * images[:, None]) * (start + part * h))
-            found += weight * (system.flow.C @ state) * turn[:, None]
-            state = step @ state if part < parts else state
+    for start, length, P, (J, _) in zip(system.times, system.lengths, system.transitions, system.jumps, strict=True):
+        state, key = J @ state, f"{length:.9e}"
+        if key not in seen:
+            step, rows = expm(system.flow.A * length / parts), [system.flow.C]
+            for _ in range(parts):
+                rows.append(rows[-1] @ step)
+            seen[key] = np.array(rows)
+        y = seen[key].reshape(-1, len(state)) @ state
+        weights = np.full(parts + 1, length / parts / T)
+        weights[[0, -1]] /= 2
+        times = start + np.arange(parts + 1) * (length / parts)
+        waves = np.exp(-2j * np.pi / T * np.multiply.outer(images, times)) * weights
+        y = y.reshape(parts + 1, -1, len(s)) * np.exp(-np.multiply.outer(times, s))[:, None]
+        found += (waves @ y.reshape(parts + 1, -1)).reshape(found.shape)
+        state = P @ state
     return images, found

@@ -14,9 +14,9 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, wrong_port
 from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.linear.linear_model import LinearModel, LinearPart
+from rotorsim.linear.linear_model import MOST_HITS, LinearModel, LinearPart
 from rotorsim.linear.linearisation import as_model, entry_names, linearise, require_finite
-from rotorsim.linear.sampled_data import MOST_HITS, SampledData
+from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.stability import growing, growing_multipliers
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
@@ -219,35 +219,34 @@ def linear_system(
     if not model.n_z:
         linear = linearise(model, parameters=parameters, inputs=ports, outputs=signals, at=at, told=told)
         return linear, linear.notes
-    return _sampled(_linear_model(model, ports, signals, parameters), model), ()
+    part = linear_part(model, ports, signals)
+    return sampled_data(part.at(part.part.parameter_vector(parameters)), model), ()
 
 
 _PARTS: WeakKeyDictionary[Model, dict[tuple[tuple[str, ...], tuple[str, ...]], LinearPart]] = WeakKeyDictionary()
 
 
-def _linear_model(
-    model: Model, ports: Sequence[str], signals: Sequence[str], parameters: Mapping[str, Any] | None
-) -> LinearModel:
-    """Return a diagram with sampled blocks as a linear model. Raises RotorsimError for one that is not linear."""
+def linear_part(model: Model, ports: Sequence[str], signals: Sequence[str]) -> LinearPart:
+    """Return a diagram with sampled blocks as a linear part, made once. Raises RotorsimError where it is not linear."""
     known, asked = _PARTS.setdefault(model, {}), (tuple(ports), tuple(signals))
     if asked not in known:
         known[asked] = LinearPart(open_part(model.diagram, inputs=ports), model.n_z, signals)
     part = known[asked].part
-    linear = known[asked].at(part.parameter_vector(parameters))
-    if not linear.exact:
+    if not known[asked].exact:
         moving = ca.vertcat(part.trace.t, part.trace.x, part.trace.z)
         rates = ca.jacobian(part.trace.xdot, ca.vertcat(part.trace.x, part.trace.z))
         curved = {part.block_of_state(k) for k in range(part.n_x) if ca.depends_on(rates[k, :], moving)}
         subject = ", ".join(sorted(curved)) or ", ".join(sampler.block for sampler in part.trace.samplers)
         hint = "take the linear block ('amb' for 'amb_nonlinear'), or `rotorsim swap` a continuous controller in"
         raise RotorsimError(
-            Problem("with sampled blocks a loop must be linear, with constant coefficients", subject, hint=hint)
+            Problem("with sampled blocks a diagram must be linear, with constant coefficients", subject, hint=hint)
         )
+    return known[asked]
+
+
+def sampled_data(linear: LinearModel, model: Model) -> SampledData:
+    """Return a model with its samplers. Raises RotorsimError without a common period, and where it is not finite."""
     require_finite(model, linear.A[: model.n_x, : model.n_x])
-    return linear
-
-
-def _sampled(linear: LinearModel, model: Model) -> SampledData:
     system = SampledData.of(linear)
     if system is None:
         blocks = ", ".join(sampler.block for sampler in model.trace.samplers)

@@ -71,7 +71,9 @@ class Resolvent:
         from scipy.linalg import matrix_balance, schur  # as long to load as a short run takes
 
         self._A, (self._scale, _) = matrix_balance(A, permute=False, separate=True)
-        self._T, self._Q = schur(self._A, output="complex")
+        T, self._Q = schur(self._A, output="complex")
+        self._poles, self._triangle = np.diag(T).copy(), np.asfortranarray(-T)
+        self._conjugate = self._Q.conj()
 
     def times(self, B: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Return the solutions X (len(s), n, m) of (s I - A) X = B, B (n, m) or (len(s), n, m); NaN on a pole."""
@@ -84,12 +86,11 @@ class Resolvent:
     def _solved(self, s: np.ndarray, rows: np.ndarray) -> np.ndarray:
         from scipy.linalg.lapack import ztrtrs
 
-        found = _times(rows, self._Q.conj())
-        triangle, poles = np.asfortranarray(-self._T), np.diag(self._T).copy()
-        diagonal = triangle.reshape(-1, order="F")[:: len(poles) + 1]
+        found = _times(rows, self._conjugate)
+        diagonal = self._triangle.reshape(-1, order="F")[:: len(self._poles) + 1]  # a view
         for k, at in enumerate(s):
-            diagonal[:] = at - poles
-            _, info = ztrtrs(triangle, found[k].T, overwrite_b=1)  # in place
+            diagonal[:] = at - self._poles
+            _, info = ztrtrs(self._triangle, found[k].T, overwrite_b=1)  # in place
             if info:
                 found[k] = np.nan
         return _times(found, self._Q.T)

@@ -79,4 +79,4 @@ def test_a_machine_that_is_not_linear_has_no_modes_with_a_sampled_controller() -
     nonlinear["blocks"]["amb_a"] = {"type": "amb_nonlinear"}
     with pytest.raises(RotorsimError) as caught:
         modes(load(nonlinear))
-    assert "with sampled blocks a loop must be linear, with constant coefficients" in str(caught.value)
+    assert "with sampled blocks a diagram must be linear, with constant coefficients" in str(caught.value)
