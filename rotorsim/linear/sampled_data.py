@@ -82,6 +82,20 @@ class SampledData:
         jumps = tuple((J + K @ F, K[:, :0]) for J, K in self.jumps)
         return replace(self, flow=self.flow.amplified(gain, wires), jumps=jumps)
 
+    def with_inputs(self, places: Sequence[int]) -> SampledData:
+        """Return it with some of its inputs."""
+        jumps = tuple((J, K[:, places]) for J, K in self.jumps)
+        return replace(self, flow=self.flow.with_inputs(places), jumps=jumps)
+
+    def with_outputs(self, places: Sequence[int]) -> SampledData:
+        """Return it with some of its outputs."""
+        return replace(self, flow=self.flow.with_outputs(places))
+
+    def opened(self) -> SampledData:
+        """Return it with the loops of the first outputs open, see `StateSpace.opened`."""
+        F, G = self.flow.opening()
+        return replace(self, flow=self.flow.opened(), jumps=tuple((J + K @ F, K @ G) for J, K in self.jumps))
+
     def response(self, frequencies: Any) -> np.ndarray:
         """Return the component of y at f for inputs exp(i 2 pi f t), f [Hz] not 0, shape (len(f), k, m).
 

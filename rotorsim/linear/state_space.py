@@ -33,6 +33,28 @@ class StateSpace:
         kept = reached(pattern, (self.B != 0).any(axis=1)) & reached(pattern.T, (self.C != 0).any(axis=0))
         return StateSpace(self.A[np.ix_(kept, kept)], self.B[kept], self.C[:, kept], self.D)
 
+    def with_inputs(self, places: Sequence[int]) -> StateSpace:
+        """Return it with some of its inputs."""
+        return StateSpace(self.A, self.B[:, places], self.C, self.D[:, places])
+
+    def with_outputs(self, places: Sequence[int]) -> StateSpace:
+        """Return it with some of its outputs."""
+        return StateSpace(self.A, self.B, self.C[places], self.D[places])
+
+    def opened(self) -> StateSpace:
+        """Return it with u + y of the first outputs replaced by new inputs: their loops are open there.
+
+        u = r - y: u = (I + D_1)^-1 (r - C_1 x) of the first m outputs.
+        """
+        F, G = self.opening()
+        return StateSpace(self.A + self.B @ F, self.B @ G, self.C + self.D @ F, self.D @ G)
+
+    def opening(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return F (m, n) and G (m, m) of u = F x + G r that opens the loops of the first m outputs."""
+        m = self.B.shape[1]
+        G = np.linalg.inv(np.eye(m) + self.D[:m])
+        return -G @ self.C[:m], G
+
     def amplified(self, gain: float, wires: Sequence[int]) -> StateSpace:
         """Return it with u_k = (gain - 1) y_k of some wires k, without inputs: what arrives there is amplified."""
         return StateSpace(self.A + self.B @ self.amplification(gain, wires), self.B[:, :0], self.C, self.D[:, :0])
