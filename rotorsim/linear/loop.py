@@ -208,7 +208,7 @@ class Loop:
 
         Near all of these S or G_o may change within a narrow band.
         """
-        loops = [self.system, *(self._amplified(0.0, k) for k in range(len(self.axes)))]
+        loops = [self.system, *(self.amplified(0.0, k) for k in range(len(self.axes)))]
         between = [system.flow for system in loops if isinstance(system, SampledData)]
         return np.concatenate([system.poles() for system in (*loops, *between)])
 
@@ -217,23 +217,19 @@ class Loop:
         between = [self.system.flow.poles()] if isinstance(self.system, SampledData) else []
         return np.concatenate([self.system.poles(), *between])
 
-    def _amplified(self, gain: float, axis: int) -> StateSpace | SampledData:
-        """Return the loop with the signal of an axis, and its rate, amplified."""
-        place = self._place[axis]
-        wires = [k for k, one in enumerate(self.injections) if place in (k, one.rate_of)]
-        return self.system.amplified(gain, wires)
-
     @cached_property
     def _stable(self) -> bool:
         return not len(growing_poles(self.system))
 
     def is_stable(self, gain: float = 1.0, axis: int = 0) -> bool:
         """Return whether the closed loop is stable, with the signal of an axis amplified."""
-        return self._stable if gain == 1.0 else not len(growing_poles(self._amplified(gain, axis)))
+        return self._stable if gain == 1.0 else not len(growing_poles(self.amplified(gain, axis)))
 
-    def growing_frequency(self, gain: float, axis: int) -> float:
-        """Return the frequency [Hz] of what grows with the signal of an axis amplified; with samples modulo 1/T."""
-        return float(abs(growing_poles(self._amplified(gain, axis))[0].imag) / (2 * np.pi))
+    def amplified(self, gain: float, axis: int) -> StateSpace | SampledData:
+        """Return the loop with the signal of an axis, and its rate, amplified."""
+        place = self._place[axis]
+        wires = [k for k, one in enumerate(self.injections) if place in (k, one.rate_of)]
+        return self.system.amplified(gain, wires)
 
     def notes(self, highest: float) -> tuple[str, ...]:
         """Return what a reader must know of a loop that is looked at up to a frequency [Hz]."""
