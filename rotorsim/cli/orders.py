@@ -135,6 +135,9 @@ def command(
         )
         save_plot(lambda: _figure(figure, given, found[0], names, simulated, beside or "", span), plot)
     if out:
+        steady = tracked.runs[0].noise is not None
+        hint = "`rotorsim spectrum --json` has the harmonics of each run"
+        refuse_if(steady, "--out: a table is of a run-up or coast-down, not of runs at constant speeds", hint=hint)
         from rotorsim.recordings.order_writing import save_orders
         from rotorsim.report.amplitudes import shown_amplitudes
 
@@ -179,14 +182,26 @@ def _given(read: Recording | OrderRecording, runs: Sequence[str], orders: Sequen
         some = tuple(run for run in read.runs if not ids or run.id in ids)
         return Given(replace(read, runs=some), None, ())
     from rotorsim.signals.orders.extraction import tracked_recording
+    from rotorsim.signals.orders.steady import steady_recording
+    from rotorsim.signals.turning import is_run_up
 
     chosen = [run for run in read.runs if run.id in ids] if ids else None
+    rising = [run for run in chosen or read.runs if is_run_up(read, run)]
+    if not rising and len(chosen or read.runs) > 1:
+        refuse_if(turns > 1, "--turns: runs at constant speeds are a row each", read.name)
+        return Given(*_settled(steady_recording(read, orders or (1, 2), chosen), read))
     tracked, positions = tracked_recording(read, orders or (1, 2), turns, chosen)
     show_problems(tracked.warnings)
     left = [run.id for run in read.runs if run.id not in {own.id for own in tracked.runs}]
     if left and not ids:
         note(f"at one speed, and left out: {', '.join(left)}")
     return Given(tracked, read, positions)
+
+
+def _settled(
+    found: tuple[OrderRecording, list[Positions]], read: Recording
+) -> tuple[OrderRecording, Recording, list[Positions]]:
+    return found[0], read, found[1]
 
 
 def _channels(recording: OrderRecording, signals: Sequence[str]) -> list[str]:
@@ -204,9 +219,28 @@ def _simulated(
     """Return the vectors of a diagram along each run, nothing of it fitted: run -> channel -> (n,)."""
     from rotorsim.model.load import load
 
+    if given.orders.runs[0].noise is not None:
+        return {run.id: _along_speeds(diagram, trust_blocks, given.orders, run) for run in given.orders.runs}
     loaded = load(diagram, trust_blocks=trust_blocks)
     along = _along_table if given.sampled is None else _along_samples
     return along(loaded, given, orders, turns)
+
+
+def _along_speeds(diagram: str, trust_blocks: bool, recording: OrderRecording, run: OrderRun) -> dict[str, np.ndarray]:
+    """Return the orders of the settled motion of a diagram at the speeds and settings of a table."""
+    from rotorsim.model.load import load
+    from rotorsim.settled.periodic import periodic
+
+    loaded = load(diagram, set=run.settings, trust_blocks=trust_blocks)
+    names = list(dict.fromkeys(loaded.as_measured(one.name) for one in recording.channels.values()))
+    motion = periodic(loaded, speeds=run.speed, signals=names)
+    refuse_if(run.sense < 0, "a shaft that turns the other way round has no settled motion beside it", run.id)
+    return {
+        column: 2 * motion.harmonic(loaded.as_measured(one.name), one.order)
+        if one.order <= motion.orders[-1]
+        else np.zeros(len(run.speed), complex)
+        for column, one in recording.channels.items()
+    }
 
 
 def _along_samples(
@@ -274,6 +308,9 @@ def _figure(
         what = "Bode plot" if kind == "bode" else "Polar plot"
         draw = figures.bode_plot if kind == "bode" else figures.polar_plot
         return draw(tracked, f"{what} of {found.order}X, {title}")
+    if kind == "cascade" and run.noise is not None:
+        hint = "bode, polar and centreline are drawn of runs at constant speeds"
+        raise RotorsimError(Problem("--figure cascade needs a run-up or coast-down", title, hint=hint))
     if given.sampled is None:
         hint = "bode and polar are drawn of tables"
         raise RotorsimError(Problem(f"--figure {kind} needs samples: these are order vectors", title, hint=hint))
