@@ -133,6 +133,7 @@ def orders_data(
     runs = {
         run.id: {
             "turns": run.turns,
+            "constant_speed": run.noise is not None,
             "time": None if run.time is None else run.time.tolist(),
             "speed": run.speed.tolist(),
             "vectors": {
