@@ -154,7 +154,7 @@ class SampledData:
 
     def _response(self, s: np.ndarray, solvers: _Solvers) -> np.ndarray:
         motion = self.motion(s, self.flow.B[None], [K[None] for _, K in self.jumps], solvers)
-        response = self.flow.C @ motion.mean + self.flow.D
+        response = _times(self.flow.C, motion.mean) + self.flow.D
         response[np.isnan(response).any(axis=(1, 2))] = np.inf
         return np.asarray(response)
 
@@ -172,14 +172,21 @@ class SampledData:
         steps = list(zip(self.transitions, self.jumps, K, waves, waves[1:], strict=False))
         g = np.zeros_like(R)
         for P, (J, _), k, now, then in steps:
-            g = P @ (J @ g + (k - R) * now) + R * then
+            g = _times(P, _times(J, g) + (k - R) * now) + R * then
         before = [turn.solved(g)]
         after, right = [], B + np.zeros_like(R)
         for P, (J, _), k, now, then in steps:
-            after.append(J @ before[-1] + k * now)
+            after.append(_times(J, before[-1]) + k * now)
             right = right + (after[-1] - before[-1]) / (now * self.period)
-            before.append(P @ (after[-1] - R * now) + R * then)
+            before.append(_times(P, after[-1] - R * now) + R * then)
         return SettledMotion(s, R, tuple(after), flow.solved(right))
+
+
+def _times(real: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """Return real (k, n) times X (F, n, m) complex: as real products, without a complex copy of the first."""
+    F, n, m = X.shape
+    pairs = np.ascontiguousarray(X, complex).view(float) if m else np.zeros((F, n, 0))
+    return np.asarray((real @ pairs).view(complex) if m else np.zeros((F, len(real), 0), complex))
 
 
 def _circle(s: np.ndarray) -> np.ndarray:
