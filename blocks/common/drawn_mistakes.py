@@ -123,5 +123,10 @@ def _bores(option: Any, given: Given) -> Iterator[Mistake]:
                 for z in (a, b)
             ]
             if within and all(bore < outer * (1 - FITS) for outer in within):
-                what = f"the bore of {what} {k + 1} is {bore * 1e3:g} mm, and the shaft in it {min(within) * 1e3:g} mm"
-                yield name, (k,), what, "give the shaft's diameter: its material would count twice"
+                shaft = f"{bore * 1e3:g} mm, and the shaft in it {min(within) * 1e3:g} mm"
+                yield (
+                    name,
+                    (k,),
+                    f"the bore of {what} {k + 1} is {shaft}",
+                    "give the shaft's diameter: its material would count twice",
+                )

@@ -79,9 +79,7 @@ def _operating_speeds(model: Model, given: Conditions) -> np.ndarray:
 def _settled(model: Model, given: Conditions, places: Sequence[str]) -> Part:
     speeds = _operating_speeds(model, given)
     motion = periodic(model, speeds=speeds, signals=places)
-    largest = np.full((len(speeds), len(places)), np.nan)
-    for k, place in enumerate(places):
-        largest[:, k] = np.abs(motion.time_history(place)[1]).max(axis=1)
+    largest = np.stack([motion.largest(place) for place in places], axis=1)
     ill = ~motion.settled | np.array([stable is False for stable in motion.stable])
     largest[ill] = np.nan
     notes = [

@@ -55,6 +55,10 @@ def command(chosen: Chosen, speeds: str, orders: str, plot: str | None, as_json:
         between = " .. ".join(dict.fromkeys(f"{rpm(float(speed)):.6g}" for speed in unstable[[0, -1]]))
         what = f"unstable at {len(unstable)} of {len(result.speeds)} speeds ({between} rpm): a pole grows there"
         warn(what, loaded.name, "'rotorsim modes --set speed=...' shows which; a critical speed there is never reached")
+    folded = [k + 1 for k in range(len(result.resonant)) if result.resonant[k] and (result.modulo[:, k] > 0).any()]
+    if folded:
+        rate = f"{result.modulo[result.modulo > 0].max():.6g} Hz"
+        note(f"sampled: several images of mode {', '.join(map(str, folded))} show alike; frequency modulo {rate}")
     left_out = len(result.resonant) - int(sum(result.resonant))
     if left_out and not as_json:
         note(f"{left_out} modes with a damping ratio above 0.707 at all speeds, no resonance: --json has them")
@@ -78,6 +82,7 @@ def command(chosen: Chosen, speeds: str, orders: str, plot: str | None, as_json:
         "frequency_hz": result.frequency_hz,
         "damping_ratio": result.damping_ratio,
         "whirl": result.whirl,
+        "frequency_modulo_hz": result.modulo,
         "stable": result.stable,
         "critical_speeds": crossings,
     }

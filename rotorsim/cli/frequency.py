@@ -19,7 +19,9 @@ NO_RESPONSE = 1e-9  # of the largest: rounding
 
 @click.command("frequency")
 @diagram_options
-@click.option("--from", "source", required=True, metavar="PORT", help="Where a test signal is added.")
+@click.option(
+    "--from", "source", required=True, metavar="PORT", help="Where a test signal is added; or a part, amb.force[1]."
+)
 @click.option("--to", "signal", required=True, metavar="SIGNAL", help="The signal whose response is wanted.")
 @click.option("--range", "span", default="0.1 Hz:2000 Hz", show_default=True, metavar="LOW:HIGH", help="Frequencies.")
 @click.option("--open", "open_loop", is_flag=True, help="Open the loop at the port: the signal replaces its value.")

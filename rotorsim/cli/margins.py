@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     "ports",
     multiple=True,
     metavar="PORT",
-    help="Where it is injected (default: input 'displacement' of every controller); repeatable.",
+    help="Where it is injected, or a part of it (default: input 'displacement' of every controller); repeatable.",
 )
 @click.option("--run", "runs", multiple=True, metavar="ID", help="Run of a recording (default: all); repeatable.")
 @click.option("--beside", metavar="DIAGRAM", help="Model of what was recorded, at its speed and settings.")

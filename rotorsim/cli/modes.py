@@ -19,6 +19,9 @@ ZERO_DAMPING = 1e-9  # damping ratio of an undamped mode, but for rounding
 HEADER = ("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl")
 
 
+FOLDED = "sampled: several images of some poles show alike, and their frequency and damping ratio may be another's: {}"
+
+
 @click.command("modes")
 @diagram_options
 @click.option("--vary", metavar="NAME=VALUES", help="Root locus over a parameter: start:step:stop, or a list.")
@@ -41,7 +44,10 @@ def command(chosen: Chosen, vary: str | None, plot: str | None, as_json: bool) -
     from rotorsim.linear.eigenmodes import modes
 
     result = modes(loaded)
-    for text in (*result.notes, *([] if result.stable else ["unstable: a pole has a positive real part"])):
+    said = [*result.notes, *([] if result.stable else ["unstable: a pole has a positive real part"])]
+    if rates := {mode.modulo for mode in result.modes if mode.modulo}:
+        said.append(FOLDED.format(f"'modulo {max(rates):.6g} Hz'"))
+    for text in said:
         note(text)
     save_plot(lambda: result.plot(f"Modes, {loaded.name}"), plot)
     data = {"diagram": loaded.name, "speed": result.speed, "stable": result.stable, "modes": result.to_table()}
@@ -58,7 +64,8 @@ def _over(loaded: Diagram, vary: str, plot: str | None, as_json: bool) -> None:
     refuse_if(varied.drawn, f"--vary {vary}: a root locus needs values, not a distribution")
     ((name, values),) = varied.runs.items()
     found = root_locus(loaded, name, np.unique(values))
-    for text in found.notes:
+    folded = np.isfinite(found.modulo)
+    for text in (*found.notes, *([FOLDED.format("hollow in the figure")] if folded.any() else [])):
         note(text)
     save_plot(lambda: found.plot(f"Root locus over {name}, {loaded.name}"), plot)
     data = {
@@ -67,22 +74,37 @@ def _over(loaded: Diagram, vary: str, plot: str | None, as_json: bool) -> None:
         "unit": found.unit,
         "values": found.values,
         "poles": found.poles,
+        "frequency_modulo_hz": found.modulo,
         "stable": found.stable,
-        "limits": [{"value": one.value, "frequency_hz": one.frequency} for one in found.limits],
+        "limits": [
+            {"value": one.value, "frequency_hz": one.frequency, "frequency_modulo_hz": one.modulo}
+            for one in found.limits
+        ],
     }
     show(as_json, lambda: data, lambda: _locus_text(found))
 
 
 def _locus_text(found: RootLocus) -> str:
     """Return the least damped pole at each value, and the limits of stability."""
-    frequency, ratio = found.least_damped()
+    import numpy as np
+
+    frequency, ratio, modulo = found.least_damped()
     unit = "" if found.unit == "1" else f" [{found.unit}]"
     rows = [
-        (f"{value:.6g}", f"{hz:.4f}", f"{round(z, 6) + 0.0:.6f}", "stable" if stable else "unstable")
-        for value, hz, z, stable in zip(found.values, frequency, ratio, found.stable, strict=True)
+        (
+            f"{value:.6g}",
+            f"{hz:.4f}" + ("" if np.isnan(rate) else f" modulo {rate:.6g}"),
+            f"{round(z, 6) + 0.0:.6f}",
+            "stable" if stable else "unstable",
+        )
+        for value, hz, rate, z, stable in zip(found.values, frequency, modulo, ratio, found.stable, strict=True)
     ]
     text = table((f"{found.parameter}{unit}", "least damped [Hz]", "damping ratio", "machine"), rows)
-    limits = [f"limit of stability: {one.value:.6g}{unit}, at {one.frequency:.4f} Hz" for one in found.limits]
+    limits = [
+        f"limit of stability: {one.value:.6g}{unit}, at {one.frequency:.4f} Hz"
+        + ("" if np.isnan(one.modulo) else f" modulo {one.modulo:.6g} Hz")
+        for one in found.limits
+    ]
     same = "stable" if found.stable[0] else "unstable"
     said = limits or [f"{same} at all of these values"]
     least, most = int(found.zeros.min()), int(found.zeros.max())
@@ -97,6 +119,7 @@ def _text(result: Modes) -> str:
         frequencies = f"{mode.frequency_hz:.4f}", f"{mode.natural_frequency_hz:.4f}"
         damping = f"{round(mode.damping_ratio, 6) + 0.0:.6f}"
         grows = ", grows" if mode.damping_ratio < -ZERO_DAMPING else ""
+        grows += f", modulo {mode.modulo:.6g} Hz" if mode.modulo else ""
         rows[mode.resonant].append((str(k), *frequencies, damping, mode.whirl + grows))
     parts = [table(HEADER, rows[True])]
     if rows[False]:

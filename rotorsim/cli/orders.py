@@ -14,6 +14,7 @@ from rotorsim.cli.shared import (
     amplitude_option,
     check_folder,
     given_options,
+    hertz,
     is_recording,
     json_option,
     known_names,
@@ -21,6 +22,7 @@ from rotorsim.cli.shared import (
     plot_option,
     refuse_if,
     save_plot,
+    share_of,
     show,
     show_problems,
     span_of,
@@ -35,9 +37,11 @@ if TYPE_CHECKING:
     from rotorsim.recordings.recording import Recording
     from rotorsim.signals.orders.critical_speeds import CriticalSpeeds
     from rotorsim.signals.orders.extraction import Positions
+    from rotorsim.signals.orders.filtered import Passband
 
 FIGURE_KINDS = ("bode", "polar", "cascade", "centreline")
 PHASE_WORDS = ("lead", "lag")  # those of rotorsim.recordings.orders
+WIDEST = 0.5  # of an order, as a passband
 CASCADE_WINDOWS = 15.0  # of a run, one after the other: a window is as long
 
 
@@ -58,6 +62,8 @@ class Given:
     "--order", "orders", multiple=True, type=click.IntRange(1, 100), help="Order (default: 1, 2); repeatable."
 )
 @click.option("--turns", type=click.IntRange(1, 1000), default=1, show_default=True, help="Turns of a row.")
+@click.option("--filter", "bandwidth", metavar="WIDTH", help="Vold-Kalman filter, -3 dB wide: '10 %' of 1X, or '2 Hz'.")
+@click.option("--line", "lines", multiple=True, metavar="FREQUENCY", help="With --filter: a steady line to separate.")
 @click.option("--slow-roll", metavar="LOW:HIGH", help="Subtract the mean vector between these speeds.")
 @click.option("--operating", metavar="LOW:HIGH", help="Operating speeds, for separation margins (API 684).")
 @click.option("--beside", metavar="DIAGRAM", help="Simulate this diagram along each run, and show it beside.")
@@ -74,6 +80,8 @@ def command(
     runs: tuple[str, ...],
     orders: tuple[int, ...],
     turns: int,
+    bandwidth: str | None,
+    lines: tuple[str, ...],
     slow_roll: str | None,
     operating: str | None,
     beside: str | None,
@@ -102,18 +110,26 @@ def command(
     span = None if operating is None else span_of(operating, "--operating")
     slow = None if slow_roll is None else span_of(slow_roll, "--slow-roll")
     wanted = tuple(dict.fromkeys(orders))
+    refuse_if(lines and bandwidth is None, "--line needs --filter", hint="for example --filter '10 %'")
+    refuse_if(bandwidth and turns > 1, "--turns: the filter has its own width, and rows of one turn")
+    width = None if bandwidth is None else _passband(bandwidth)
+    steady_lines = [hertz(line, "--line") for line in lines]
     read = _read(chosen)
-    given = _given(read, runs, wanted, turns)
+    given = _given(read, runs, wanted, turns) if width is None else _filtered(read, runs, wanted, width, steady_lines)
     if slow is not None:
         from rotorsim.signals.orders.slow_roll import without_slow_roll
 
         given = replace(given, orders=without_slow_roll(given.orders, *slow))
     tracked = given.orders
     names = _channels(tracked, signals)
-    from rotorsim.signals.orders.critical_speeds import critical_speeds
+    from rotorsim.signals.orders.critical_speeds import CriticalSpeeds, critical_speeds
 
     kinds = list(wanted) or sorted({channel.order for channel in tracked.channels.values()})
-    found = [critical_speeds(run, tracked.channels, order) for run in tracked.runs for order in kinds]
+    if width is None:
+        found = [critical_speeds(run, tracked.channels, order) for run in tracked.runs for order in kinds]
+    else:
+        found = [CriticalSpeeds(run.id, order, run.speed, ()) for run in tracked.runs for order in kinds]
+        note("critical speeds are told without --filter: a filter makes resonances broader, and their noise smooth")
     simulated = {} if beside is None else _simulated(beside, chosen.trust_blocks, given, kinds, turns)
     from rotorsim.report.text import orders as text
 
@@ -122,7 +138,7 @@ def command(
         for run in tracked.runs:
             own = {name: tracked.channels[name] for name in names if tracked.channels[name].order in kinds}
             lines = [text.run_text(run), text.peaks_text(run, own)]
-            lines += [text.critical_text(one, own, span) for one in found if one.run == run.id]
+            lines += [text.critical_text(one, own, span) for one in found if one.run == run.id and width is None]
             parts.append("\n\n".join(lines))
         return "\n\n\n".join(parts)
 
@@ -135,12 +151,18 @@ def command(
         )
         save_plot(lambda: _figure(figure, given, found[0], names, simulated, beside or "", span), plot)
     if out:
+        steady = tracked.runs[0].noise is not None
+        hint = "`rotorsim spectrum --json` has the harmonics of each run"
+        refuse_if(
+            width, "--out: rows of a filter are not independent, as those of a table are", hint="leave --filter out"
+        )
+        refuse_if(steady, "--out: a table is of a run-up or coast-down, not of runs at constant speeds", hint=hint)
         from rotorsim.recordings.order_writing import save_orders
         from rotorsim.report.amplitudes import shown_amplitudes
 
         folder = save_orders(out, tracked, amplitude=shown_amplitudes(), phase=phase, overwrite=overwrite)
         note(f"written: {folder}")
-    show(as_json, lambda: text.orders_data(tracked, found, span), lambda: words)
+    show(as_json, lambda: text.orders_data(tracked, found if width is None else [], span), lambda: words)
     untold = [f"{one.run}, {one.order}X" for one in found if not (one.found or one.explained)]
     hint = "a speed that turns back, a rub, a clipped probe? the figure shows what the modes leave"
     what = "the motion is not that of linear modes, and no critical speed is told"
@@ -179,14 +201,59 @@ def _given(read: Recording | OrderRecording, runs: Sequence[str], orders: Sequen
         some = tuple(run for run in read.runs if not ids or run.id in ids)
         return Given(replace(read, runs=some), None, ())
     from rotorsim.signals.orders.extraction import tracked_recording
+    from rotorsim.signals.orders.steady import steady_recording
+    from rotorsim.signals.turning import is_run_up
 
     chosen = [run for run in read.runs if run.id in ids] if ids else None
+    rising = [run for run in chosen or read.runs if is_run_up(read, run)]
+    if not rising and len(chosen or read.runs) > 1:
+        refuse_if(turns > 1, "--turns: runs at constant speeds are a row each", read.name)
+        return Given(*_with_samples(steady_recording(read, orders or (1, 2), chosen), read))
     tracked, positions = tracked_recording(read, orders or (1, 2), turns, chosen)
     show_problems(tracked.warnings)
     left = [run.id for run in read.runs if run.id not in {own.id for own in tracked.runs}]
     if left and not ids:
         note(f"at one speed, and left out: {', '.join(left)}")
     return Given(tracked, read, positions)
+
+
+def _passband(text: str) -> Passband:
+    """Return the width of --filter."""
+    from rotorsim.signals.orders.filtered import Passband
+
+    if "%" in text:
+        share = share_of("--filter", text, "for example --filter '10 %'")
+        refuse_if(share > WIDEST, f"--filter {text}: orders are one apart", hint=f"at most {100 * WIDEST:g} %")
+        return Passband(share=share)
+    if not text.strip().endswith("Hz"):
+        raise RotorsimError(Problem(f"--filter {text}: not a width", hint="for example --filter '10 %' or '2 Hz'"))
+    return Passband(hertz=hertz(text, "--filter"))
+
+
+def _filtered(
+    read: Recording | OrderRecording,
+    runs: Sequence[str],
+    orders: Sequence[int],
+    width: Passband,
+    lines: Sequence[float],
+) -> Given:
+    """Return the order vectors of the runs that are wanted by the Vold-Kalman filter."""
+    from rotorsim.recordings.orders import OrderRecording
+    from rotorsim.signals.orders.filtered import filtered_recording
+
+    if isinstance(read, OrderRecording):
+        raise RotorsimError(Problem("--filter needs samples: these are order vectors", read.name))
+    ids = known_names(runs, [run.id for run in read.runs], lambda name: f"--run {name}: no such run in {read.name}")
+    chosen = [run for run in read.runs if run.id in ids] if ids else None
+    found = filtered_recording(read, orders or (1, 2), width, lines, chosen)
+    show_problems(found[0].warnings)
+    return Given(*_with_samples(found, read))
+
+
+def _with_samples(
+    found: tuple[OrderRecording, list[Positions]], read: Recording
+) -> tuple[OrderRecording, Recording, list[Positions]]:
+    return found[0], read, found[1]
 
 
 def _channels(recording: OrderRecording, signals: Sequence[str]) -> list[str]:
@@ -204,9 +271,28 @@ def _simulated(
     """Return the vectors of a diagram along each run, nothing of it fitted: run -> channel -> (n,)."""
     from rotorsim.model.load import load
 
+    if given.orders.runs[0].noise is not None:
+        return {run.id: _along_speeds(diagram, trust_blocks, given.orders, run) for run in given.orders.runs}
     loaded = load(diagram, trust_blocks=trust_blocks)
     along = _along_table if given.sampled is None else _along_samples
     return along(loaded, given, orders, turns)
+
+
+def _along_speeds(diagram: str, trust_blocks: bool, recording: OrderRecording, run: OrderRun) -> dict[str, np.ndarray]:
+    """Return the orders of the settled motion of a diagram at the speeds and settings of a table."""
+    from rotorsim.model.load import load
+    from rotorsim.settled.periodic import periodic
+
+    loaded = load(diagram, set=run.settings, trust_blocks=trust_blocks)
+    names = list(dict.fromkeys(loaded.as_measured(one.name) for one in recording.channels.values()))
+    motion = periodic(loaded, speeds=run.speed, signals=names)
+    refuse_if(run.sense < 0, "a shaft that turns the other way round has no settled motion beside it", run.id)
+    return {
+        column: 2 * motion.harmonic(loaded.as_measured(one.name), one.order)
+        if one.order <= motion.orders[-1]
+        else np.zeros(len(run.speed), complex)
+        for column, one in recording.channels.items()
+    }
 
 
 def _along_samples(
@@ -274,6 +360,9 @@ def _figure(
         what = "Bode plot" if kind == "bode" else "Polar plot"
         draw = figures.bode_plot if kind == "bode" else figures.polar_plot
         return draw(tracked, f"{what} of {found.order}X, {title}")
+    if kind == "cascade" and run.noise is not None:
+        hint = "bode, polar and centreline are drawn of runs at constant speeds"
+        raise RotorsimError(Problem("--figure cascade needs a run-up or coast-down", title, hint=hint))
     if given.sampled is None:
         hint = "bode and polar are drawn of tables"
         raise RotorsimError(Problem(f"--figure {kind} needs samples: these are order vectors", title, hint=hint))

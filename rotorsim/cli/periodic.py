@@ -71,6 +71,8 @@ def command(
         missing = f", not known at {len(coupling) - len(known)} speeds" if known and len(known) < len(coupling) else ""
         settled = f"co-simulated, extrapolated from {result.counters['turns']} periods"
         note(f"{settled}; error of the coupling: {told}{missing}")
+    if result.images:
+        note(_of_images(result))
     refuse_if(plot and len(result.speeds) < 2, "--plot needs several speeds", hint="give --speeds")
 
     save_plot(lambda: result.plot(title=loaded.name), plot)
@@ -104,9 +106,22 @@ def command(
         "stable": result.stable,
         "drifting": result.drifting,
     } | ({} if coupling is None else {"coupling_error": coupling})
+    if result.images:
+        data |= {"images": result.images, "largest": result.largest_values}
     names = result.two_axis or result.harmonics
     show(as_json, lambda: data, lambda: "\n\n".join(_table(result, name) for name in names))
     return 1 if failed else 0
+
+
+def _of_images(result: Periodic) -> str:
+    """Return what sampling adds to the motion beside its harmonics."""
+    import numpy as np
+
+    added = []
+    for name in result.two_axis or result.harmonics:
+        unit, scale = display_unit(result.units[name])
+        added.append(f"{np.nanmax(result.images[name]) * scale:.3g} {unit} of {name}")
+    return f"sampled: images beside the orders, at these plus multiples of 1/T, reach {', '.join(added)}"
 
 
 def _table(result: Periodic, name: str) -> str:

@@ -265,7 +265,7 @@ def _diagrams(chosen: Chosen, known: Sequence[Mapping[str, Any]]) -> list[Diagra
     for name in dict.fromkeys(name for gains in known for name in gains):
         if name == "speed":
             problems.append(Problem("--gains speed: the speeds are given by --speeds"))
-        elif name not in parameters:
+        elif name.partition("[")[0] not in parameters:
             hint = near_miss(name, parameters, list_all=False) or "'rotorsim blocks TYPE' lists the parameters"
             problems.append(Problem(f"--gains {name}: no such parameter in {loaded.name}", hint=hint))
         elif name in given:

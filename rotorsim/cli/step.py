@@ -28,7 +28,9 @@ ZERO_FINAL = 1e-6  # of the largest value: what integral action makes zero, but 
 
 @click.command("step")
 @diagram_options
-@click.option("--from", "source", required=True, metavar="PORT", help="Where a step of 1 (SI) is added.")
+@click.option(
+    "--from", "source", required=True, metavar="PORT", help="Where a step of 1 (SI) is added; or a part of it."
+)
 @click.option("--to", "signal", required=True, metavar="SIGNAL", help="The signal whose response is wanted.")
 @click.option("--stop", metavar="TIME", help="Length (default: six time constants of the slowest pole).")
 @plot_option("the response over time")

@@ -90,7 +90,11 @@ def command(
         new = _with_fmu(old, block, given, folder)
     else:
         parameters = _designed(diagram, block, given, trust_blocks) if designed else given
-        new = swap(old, block, new_type, parameters, registry)
+        entries = {name: value for name, value in parameters.items() if "[" in name}
+        new = swap(old, block, new_type, {k: v for k, v in parameters.items() if k not in entries}, registry)
+        if entries:
+            set_there = {f"{block}.{name}": value for name, value in entries.items()}
+            new = dict(load(new, set=set_there, trust_blocks=trust_blocks, folder=folder).document)
     if kept and target is not None and target.resolve().parent != path.resolve().parent:
         what = f"--out {target}: the diagram names {kept[0]}, which is not there"
         raise RotorsimError(Problem(what=what, hint=f"write it to the folder {path.parent}"))

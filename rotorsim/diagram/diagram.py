@@ -238,6 +238,7 @@ def wrong_port(diagram: Diagram, name: str, *, inputs: bool = True) -> Problem:
     if not block:
         return Problem("is a block, not a port", name, hint=f"its ports: {', '.join(f'{base}.{one}' for one in known)}")
     if bracket and port in known:
-        hint = f"name '{base}': the results tell each of its entries"
-        return Problem("is an entry; a test signal enters at a whole port", name, hint=hint)
+        shape = (node.outputs.get(port) or node.inputs[port]).shape
+        size = " x ".join(map(str, shape)) or "scalar"
+        return Problem(f"no such entry; '{base}' has shape {size}, counted from 1", name, hint=f"name '{base}' for all")
     return Problem(f"no such {'port' if inputs else 'output port'}", name, hint=near_miss(port, known))

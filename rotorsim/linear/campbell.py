@@ -44,7 +44,8 @@ class Campbell(Shown):
     """Modes over speed: one column per mode, followed by shape; NaN where a mode does not oscillate.
 
     speeds (n,) [rad/s]; frequency_hz, damping_ratio (n, modes); whirl (n, modes) text, "" where NaN.
-    stable (n,): whether no pole of the machine grows there, also none that does not oscillate.
+    stable (n,): whether no pole of the machine grows there, also none that does not oscillate. modulo (n, modes) [Hz]:
+    with samplers, the rate modulo which a frequency is known, NaN where it is sure, see `rotorsim.linear.eigen.Eigen`.
     """
 
     speeds: np.ndarray
@@ -54,6 +55,7 @@ class Campbell(Shown):
     crossings: tuple[Crossing, ...]
     stable: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    modulo: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     _figure = "rotorsim.report.figures.linear:campbell_figure"
 
@@ -154,11 +156,13 @@ def campbell(
     frequency = np.full((len(values), n_modes), np.nan)
     damping = np.full((len(values), n_modes), np.nan)
     direction = np.full((len(values), n_modes), "", dtype="<U8")
+    modulo = np.full((len(values), n_modes), np.nan)
     for j, at in enumerate(points):
         there = np.flatnonzero(columns[j] >= 0)
         found = at.eigen.values[columns[j, there]]
         frequency[j, there] = found.imag / (2 * np.pi)
         damping[j, there] = -found.real / np.abs(found)
+        modulo[j, there] = at.eigen.modulo[columns[j, there]]
         direction[j, there] = [at.whirl[k] for k in columns[j, there]]
     crossings = [
         crossing
@@ -174,6 +178,7 @@ def campbell(
         crossings=tuple(sorted(crossings, key=lambda c: (c.order, c.speed, c.mode))),
         stable=np.array([at.stable for at in points], bool),
         provenance={"diagram": model.diagram.name, "set": dict(parameters or {}), "analysis": "campbell"},
+        modulo=modulo,
     )
 
 

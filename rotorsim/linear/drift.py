@@ -10,14 +10,17 @@ from rotorsim.model.compiled import Model
 SINGULAR_STATES = 1e-14  # reciprocal condition number below which a group of states is taken to have a pole at zero
 
 
-def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
+def drifting_states(
+    A: np.ndarray, pattern: np.ndarray | None = None, about: float = 0.0
+) -> tuple[list[int], list[int]]:
     """Return the states with a pole at zero of their own, and all states that these drive.
 
     A: (n, n) or (m, n, n). The states are grouped into strongly coupled sets (a set is driven by others
-    or not); a set whose own matrix is singular has no mean of its own: a free integrator, a free body.
+    or not); a set whose own matrix is singular has no mean of its own: a free integrator, a free body. pattern (n, n):
+    which state drives which, default: by A. about: as in `eigenvectors`.
     """
     stack = A.reshape(-1, *A.shape[-2:])
-    pattern = np.any(stack != 0, axis=0)
+    pattern = np.any(stack != 0, axis=0) if pattern is None else pattern
     n = len(pattern)
     if n == 0:
         return [], []
@@ -31,10 +34,11 @@ def drifting_states(A: np.ndarray) -> tuple[list[int], list[int]]:
         members = np.flatnonzero(group == k)
         own = stack[0][np.ix_(members, members)]
         if len(members) == 1:
-            singular = not pattern[members[0], members[0]]
+            singular = not np.any(stack[:, members[0], members[0]])
         else:
             balanced = matrix_balance(own, separate=False)[0]
-            singular = is_singular(balanced / np.abs(balanced).max(axis=1, keepdims=True))
+            size = np.abs(balanced + about * np.eye(len(balanced))).max(axis=1, keepdims=True)
+            singular = is_singular(balanced / size)
         if singular:
             seeds += members.tolist()
     return sorted(seeds), np.flatnonzero(reached(pattern, np.isin(np.arange(n), seeds))).tolist()

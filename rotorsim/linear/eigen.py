@@ -14,6 +14,7 @@ from rotorsim.linear.state_space import StateSpace
 
 REAL_POLE = 1e-8  # imaginary part, relative to the largest |eigenvalue|, above which a pole oscillates
 MOST_IMAGES = 16  # of a frequency, above and below, among which that of a mode is looked for
+UNDECIDED = 0.5  # share of the largest image that another one has, from which on either may be meant
 ALIKE = 1e-9  # relative difference of images that are one but for rounding
 INSTANTS = 4  # in a period of the highest of them
 
@@ -23,7 +24,8 @@ class Eigen:
     """Oscillating eigenvalues (imaginary part positive, ascending), their vectors, and the real poles [1/s].
 
     shapes (k, m): of outputs y = Re(shape exp(value t)). right, left (n, m): vectors, left^H right = 1, of A, or of the
-    monodromy at t = 0 where there are samplers.
+    monodromy at t = 0 where there are samplers. modulo (m,): frequency [Hz], NaN or that of the samplers, up to whole
+    multiples of which a frequency is known: another image shows at least half as much.
     """
 
     values: np.ndarray
@@ -31,6 +33,7 @@ class Eigen:
     left: np.ndarray
     real: np.ndarray
     shapes: np.ndarray
+    modulo: np.ndarray
 
 
 def eigen(system: StateSpace | SampledData) -> Eigen:
@@ -46,15 +49,30 @@ def eigen(system: StateSpace | SampledData) -> Eigen:
     limit = REAL_POLE * np.abs(values).max(initial=0.0)
     real = np.sort(values[np.abs(values.imag) <= limit].real)
     keep = np.flatnonzero(values.imag > limit)
-    return _ordered(values[keep], left[:, keep], right[:, keep], real, system.C @ right[:, keep])
+    sure = np.full(len(keep), np.nan)
+    return _ordered(values[keep], left[:, keep], right[:, keep], real, system.C @ right[:, keep], sure)
 
 
-def _ordered(s: np.ndarray, left: np.ndarray, right: np.ndarray, real: np.ndarray, shapes: np.ndarray) -> Eigen:
+def unfolded(system: SampledData, pole: complex) -> tuple[float, float]:
+    """Return the frequency [Hz] of a pole ln(mu) / T at the image that shows most; and modulo what, NaN if sure."""
+    found = eigen(system)
+    turns = np.exp(np.multiply.outer((-pole, -pole.conjugate()), np.ones(1)) * system.period)
+    away = np.abs(np.exp(found.values * system.period) * turns - 1).min(axis=0)
+    real = np.abs(np.exp((found.real - pole) * system.period) - 1)
+    if not len(away) or real.min(initial=np.inf) <= away.min():
+        return 0.0, np.nan
+    k = int(away.argmin())
+    return float(found.values[k].imag / (2 * pi)), float(found.modulo[k])
+
+
+def _ordered(
+    s: np.ndarray, left: np.ndarray, right: np.ndarray, real: np.ndarray, shapes: np.ndarray, modulo: np.ndarray
+) -> Eigen:
     order = np.argsort(s.imag, kind="stable")
     s, left, right = s[order], left[:, order], right[:, order]
     products = np.sum(left.conj() * right, axis=0)
     products = np.where(np.abs(products) > 0, products, 1.0)
-    return Eigen(s, right, left / products.conj(), real, shapes[:, order])
+    return Eigen(s, right, left / products.conj(), real, shapes[:, order], modulo[order])
 
 
 def multipliers(system: SampledData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -73,6 +91,11 @@ def _sampled(system: SampledData) -> Eigen:
     rate = 2 * pi / system.period
     seen[images == 0] *= 1 + ALIKE  # of what is not seen, or at half of the rate, where both images are alike
     place = np.where(s.imag == 0, len(images) // 2, np.argmax(seen, axis=0))
+    largest = np.take_along_axis(seen, place[None], 0)[0]
+    np.put_along_axis(seen, place[None], 0.0, 0)
+    half = np.abs(s.imag * system.period - pi) < ALIKE  # its image at minus half of the rate is its conjugate
+    np.put_along_axis(seen, np.where(half, len(images) - 2 - place, place)[None], 0.0, 0)
+    modulo = np.where(seen.max(axis=0, initial=0.0) >= UNDECIDED * largest, 1 / system.period, np.nan)
     s = s + 1j * rate * images[place]
     shapes = np.take_along_axis(shapes, place[None, None], 0)[0]
     mirrored = s.imag < 0
@@ -81,7 +104,7 @@ def _sampled(system: SampledData) -> Eigen:
     limit = REAL_POLE * np.abs(s).max(initial=0.0)
     real = np.concatenate([s[np.abs(s.imag) <= limit].real, np.zeros(len(mu) - right.shape[1])])
     keep = np.flatnonzero(s.imag > limit)
-    return _ordered(s[keep], w[:, keep], v[:, keep], np.sort(real), shapes[:, keep])
+    return _ordered(s[keep], w[:, keep], v[:, keep], np.sort(real), shapes[:, keep], modulo[keep])
 
 
 def _images(system: SampledData, s: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -94,14 +117,21 @@ def _images(system: SampledData, s: np.ndarray, v: np.ndarray) -> tuple[np.ndarr
     images = np.arange(-most, most + 1)
     parts = max(ceil(INSTANTS * (most + 1) / len(system.times)), INSTANTS)
     found = np.zeros((len(images), len(system.flow.C), len(s)), complex)
-    steps: dict[str, np.ndarray] = {}
+    seen: dict[str, np.ndarray] = {}  # C exp(A k h) of the parts of an interval, by its length
     state = v.astype(complex)
-    for start, length, (J, _) in zip(system.times, system.lengths, system.jumps, strict=True):
-        state, h = J @ state, length / parts
-        step = steps.setdefault(f"{h:.9e}", expm(system.flow.A * h))
-        for part in range(parts + 1):
-            weight = h / T * (0.5 if part in (0, parts) else 1.0)
-            turn = np.exp(-(s + 2j * pi / T * images[:, None]) * (start + part * h))
-            found += weight * (system.flow.C @ state) * turn[:, None]
-            state = step @ state if part < parts else state
+    for start, length, P, (J, _) in zip(system.times, system.lengths, system.transitions, system.jumps, strict=True):
+        state, key = J @ state, f"{length:.9e}"
+        if key not in seen:
+            step, rows = expm(system.flow.A * length / parts), [system.flow.C]
+            for _ in range(parts):
+                rows.append(rows[-1] @ step)
+            seen[key] = np.array(rows)
+        y = seen[key].reshape(-1, len(state)) @ state
+        weights = np.full(parts + 1, length / parts / T)
+        weights[[0, -1]] /= 2
+        times = start + np.arange(parts + 1) * (length / parts)
+        waves = np.exp(-2j * np.pi / T * np.multiply.outer(images, times)) * weights
+        y = y.reshape(parts + 1, -1, len(s)) * np.exp(-np.multiply.outer(times, s))[:, None]
+        found += (waves @ y.reshape(parts + 1, -1)).reshape(found.shape)
+        state = P @ state
     return images, found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -27,12 +28,14 @@ class Mode:
     """One oscillating mode: x(t) = Re(shape exp(eigenvalue t)).
 
     eigenvalue [1/s], imaginary part positive. whirl: "forward", "backward" or "planar". shape: complex
-    amplitude of every entry of the two-axis displacements (names in `Modes.shape_names`), largest entry 1.
+    amplitude of every entry of the two-axis displacements (names in `Modes.shape_names`), largest entry 1. modulo [Hz]:
+    the sample rate, where images at its multiples show alike and the frequency may as well be one of those; else None.
     """
 
     eigenvalue: complex
     whirl: str
     shape: np.ndarray
+    modulo: float | None = None
 
     @property
     def frequency_hz(self) -> float:
@@ -93,6 +96,7 @@ class Modes(Shown):
                 "damping_ratio": mode.damping_ratio,
                 "whirl": mode.whirl,
                 "unstable": mode.unstable,
+                "frequency_modulo_hz": mode.modulo,
             }
             for mode in self.modes
         ]
@@ -138,8 +142,10 @@ def modes(
     count = sum(_displacements(model))
     return Modes(
         modes=tuple(
-            Mode(complex(value), direction[k], _normalised(found.shapes[:count, k]))
-            for k, value in enumerate(found.values)
+            Mode(
+                complex(value), direction[k], _normalised(found.shapes[:count, k]), None if isnan(rate) else float(rate)
+            )
+            for k, (value, rate) in enumerate(zip(found.values, found.modulo, strict=True))
         ),
         real_poles=found.real,
         shape_names=names[:count],

@@ -10,18 +10,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from rotorsim._shown import Shown, xarray_module
-from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.diagram import Diagram, wrong_port
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.linearisation import (
-    as_model,
-    entry_names,
-    flat_names,
-    given_units,
-    linearise,
-    provenance,
-    units_of,
-)
-from rotorsim.linear.loop import RATE, SENSOR, growing_poles, linear_system, undisturbed_rates
+from rotorsim.linear.linearisation import entry_names, flat_names, given_units, provenance, units_of
+from rotorsim.linear.loop import RATE, SENSOR, disturbed, growing_poles, linear_system, undisturbed_rates
 from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.state_space import StateSpace, frequencies_near
 from rotorsim.model.compiled import Model
@@ -91,34 +83,36 @@ def frequency_response(
     """Return the response of a signal to a disturbance added at a port, loops closed, and its peaks.
 
     G(f) = C (i 2 pi f I - A)^-1 B + D at frequencies [Hz] (default: over a span [Hz], dense at every pole). input:
-    a port such as ``controller.current``; with open_loop the loop is opened there. output: a signal or a part of one.
+    a port such as ``controller.current``, or a part of one, ``rotor.force[3,1]``; with open_loop the loop is opened
+    there, the operating point being that of the closed loop. output: a signal or a part of one.
     With sampled blocks it is the component of the output at the frequency of the input, exactly. Peaks are looked for
     between the lowest and the highest frequency.
 
-    Raises RotorsimError as `linearise`, for sampled blocks with open_loop or in a diagram that is not linear, and for
-    frequencies that are not finite.
+    Raises RotorsimError as `linearise`, for sampled blocks in a diagram that is not linear, and for frequencies that
+    are not finite.
     """
-    model = as_model(diagram, *(((), (input,)) if open_loop else ((input,), ())))
-    system: StateSpace | SampledData
+    model, port, places = disturbed(diagram, input)
+    if open_loop and port not in model.signals:
+        raise RotorsimError(wrong_port(model.diagram, port, inputs=False))
+    outputs, given = flat_names(model, output), model.trace.external[port]
+    inputs = [entry_names(port, given.shape)[k] for k in places]
+    signals = (*inputs, output) if open_loop else (output,)
+    whole, notes = linear_system(model, (port,), signals, parameters, at)
+    system = whole.with_inputs(places)
     if open_loop:
-        system = linearise(model, parameters=parameters, inputs=(input,), outputs=(output,), at=at, open_loop=True)
-        notes = system.notes
-    else:
-        system, notes = linear_system(model, (input,), (output,), parameters, at)
+        system = system.opened().with_outputs(range(len(inputs), len(inputs) + len(outputs)))
     hz = frequencies_near(system.poles(), *span) if frequencies is None else np.asarray(frequencies, float)
     hz = np.atleast_1d(hz).ravel()
     if not np.isfinite(hz).all():
         raise RotorsimError(Problem(what="frequencies must be finite [Hz]", subject="frequencies"))
-    block, _, port = input.rpartition(".")
-    if port == SENSOR and f"{block}.{RATE}" in {f"{end.target.block}.{end.target.port}" for end in model.diagram.wires}:
+    block, _, name = port.rpartition(".")
+    if name == SENSOR and f"{block}.{RATE}" in {f"{end.target.block}.{end.target.port}" for end in model.diagram.wires}:
         notes = (
             *notes,
-            f"'{input}' is disturbed, and '{block}.{RATE}' is not: `margins` disturbs both, as one sensor does",
+            f"'{port}' is disturbed, and '{block}.{RATE}' is not: `margins` disturbs both, as one sensor does",
         )
-    notes = (*notes, *undisturbed_rates(model.diagram, {input}))
-    given = model.trace.external[input]
-    above, below = units_of(model, (output,)), given_units(model, given)
-    outputs, inputs = flat_names(model, output), entry_names(given.name, given.shape)
+    notes = (*notes, *undisturbed_rates(model.diagram, {port}))
+    above, below = units_of(model, (output,)), [given_units(model, given)[k] for k in places]
     found = FrequencyResponse(
         frequencies=hz,
         value=system.response(hz),

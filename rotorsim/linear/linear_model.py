@@ -7,15 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cache
+from math import lcm
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from rotorsim.model.linearity import jacobian
+from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.model.part import Part
 
+MOST_HITS = 10_000  # of a common period: so many matrices are multiplied for each frequency
 HIT = 1e-6  # of a period: how far from its time a hit is still due
 Jump = Callable[[tuple[int, ...]], tuple[np.ndarray, np.ndarray]]
 
@@ -44,6 +48,11 @@ class LinearModel:
         due = self.due(t)
         return self.jump(due) if due and self.jump else (np.eye(len(self.A)), np.zeros_like(self.B))
 
+    def period_hits(self) -> list[float]:
+        """Return the times of hits from 0 to below the common period of all samplers; none without one."""
+        period = common_period(self.periods)
+        return [] if period is None else [0.0, *self.hits(0.0, period - min(self.periods) / 2)]
+
     def hits(self, start: float, end: float) -> list[float]:
         """Return the times of hits after start, until end."""
         ranges = [(T, int(np.floor(start / T + HIT)) + 1, int(np.floor(end / T + HIT))) for T in self.periods]
@@ -69,8 +78,12 @@ class LinearPart:
         blocks = [jacobian(e, by) for e in (rate, y) for by in (s, u)]
         jumps = [jacobian(after, by) for by in (s, u)]
         self.exact = not any(ca.depends_on(J, ca.vertcat(trace.t, s, u)) for J in (*blocks, *jumps))
-        self._flow = ca.Function("flow", point, [ca.densify(J) for J in blocks])
-        self._jump = ca.Function("jump", [*point, trace.w, trace.hit], [ca.densify(J) for J in jumps])
+        self._flow = [MatrixFunction(point, J) for J in blocks]
+        self._jump = [MatrixFunction([*point, trace.w, trace.hit], J) for J in jumps]
+        still = [ca.SX.zeros(*one.shape) for one in (trace.x, trace.z, trace.w)]
+        driving = ca.substitute([rate, y, after], [trace.x, trace.z, trace.w], still)
+        self._driving = [MatrixFunction([trace.t, trace.p], column) for column in driving[:2]]
+        self._driving_hit = MatrixFunction([trace.t, trace.p, trace.hit], driving[2])
         n, n_u, n_y = s.numel(), u.numel(), y.numel()
         self._shapes = ((n, n), (n, n_u), (n_y, n), (n_y, n_u))  # CasADi has shapes of its own for what is empty
 
@@ -78,17 +91,42 @@ class LinearPart:
         """Return the matrices with parameters p, where the part starts."""
         trace = self.part.trace
         x0, z0 = self.part.initial(p)
-        found = [np.array(m.full()) for m in self._flow(0.0, x0, z0, p)]
-        A, B, C, D = (m.reshape(shape) for m, shape in zip(found, self._shapes, strict=True))
+        found = zip(self._flow, self._shapes, strict=True)
+        A, B, C, D = (function(0.0, x0, z0, p)[0].reshape(shape) for function, shape in found)
 
         @cache
         def jump(due: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
             hit = np.isin(np.arange(len(trace.samplers)), due).astype(float)
-            J, K = self._jump(0.0, x0, z0, p, np.zeros(trace.w.numel()), hit)
-            return np.array(J.full()).reshape(A.shape), np.array(K.full()).reshape(B.shape)
+            given = 0.0, x0, z0, p, np.zeros(trace.w.numel()), hit
+            J, K = (function(*given)[0] for function in self._jump)
+            return J.reshape(A.shape), K.reshape(B.shape)
 
         periods = tuple(float(p[sampler.period]) for sampler in trace.samplers)
         return LinearModel(A, B, C, D, periods, jump if periods else None, self.exact)
+
+    def forcing(self, p: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rates (N, n) and the outputs (N, n_y) that time alone makes at instants (N,)."""
+        rates, outputs = (function(times[None], p)[..., 0] for function in self._driving)
+        return np.broadcast_to(rates, (len(times), rates.shape[1])), np.broadcast_to(
+            outputs, (len(times), outputs.shape[1])
+        )
+
+    def forcing_at_hit(self, p: np.ndarray, times: np.ndarray, due: tuple[int, ...]) -> np.ndarray:
+        """Return what states (N, n) become at a hit of some samplers at instants (N,), of time alone."""
+        hit = np.isin(np.arange(len(self.part.trace.samplers)), due).astype(float)
+        return self._driving_hit(times[None], p, hit)[..., 0]
+
+
+def common_period(periods: Sequence[float]) -> float | None:
+    """Return the shortest time [s] of which all periods are whole fractions; None where it has too many hits."""
+    base = min(periods)
+    ratios = [Fraction(T / base).limit_denominator(1000) for T in periods]
+    if any(abs(float(r) * base / T - 1) > 1e-9 for r, T in zip(ratios, periods, strict=True)):
+        return None
+    tick = lcm(*(r.denominator for r in ratios))  # base / tick: periods are whole numbers of it
+    counts = [int(r * tick) for r in ratios]
+    whole = lcm(*counts)
+    return None if sum(whole // count for count in counts) > MOST_HITS else whole * base / tick
 
 
 def _column(vector: Any, places: range) -> Any:

@@ -12,15 +12,17 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 import numpy as np
 
+from rotorsim.block import size_of
 from rotorsim.diagram.diagram import Diagram, wrong_port
 from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.linear.linear_model import LinearModel, LinearPart
+from rotorsim.linear.linear_model import MOST_HITS, LinearModel, LinearPart
 from rotorsim.linear.linearisation import as_model, entry_names, linearise, require_finite
-from rotorsim.linear.sampled_data import MOST_HITS, SampledData
+from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.stability import growing, growing_multipliers
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
 from rotorsim.model.part import open_part
+from rotorsim.model.trace.diagram import flat_indices
 
 SENSOR, RATE = "displacement", "velocity"  # input ports of a controller: one sensor's signal, and what is made of it
 DELAY_ERROR = 0.01  # of a signal, which a Pade approximation may be off before it is said
@@ -30,13 +32,15 @@ DELAY_ERROR = 0.01  # of a signal, which a Pade approximation may be off before 
 class Injection:
     """One entry of a port where a test signal is added: V2 is the signal that arrives there, of a unit.
 
-    rate_of: position among all of the entry whose rate this is; its test signal is dE/dt of that one. None: an axis.
+    entry: its position in the port. rate_of: position among all of the entry whose rate this is; its test signal is
+    dE/dt of that one. None: an axis.
     """
 
     name: str
     port: str
     signal: str
     unit: str
+    entry: int = 0
     rate_of: int | None = None
 
 
@@ -74,7 +78,10 @@ def controller_output(diagram: Diagram | Model, controller: str) -> str:
 
 
 def injections(diagram: Diagram, ports: Sequence[str]) -> tuple[Injection, ...]:
-    """Return where test signals are added for input or output ports. Raises RotorsimError for all wrong ones."""
+    """Return where test signals are added for input or output ports, or parts of them (``controller.displacement[1]``).
+
+    Entries of an input that nothing feeds are left out. Raises RotorsimError for all wrong ports.
+    """
     found: list[Injection] = []
     problems: list[Problem] = []
     for port in ports:
@@ -89,38 +96,75 @@ def injections(diagram: Diagram, ports: Sequence[str]) -> tuple[Injection, ...]:
 
 def _injections(diagram: Diagram, port: str, count: int) -> list[Injection]:
     """Return those of one port, behind ``count`` others."""
-    block, _, name = port.rpartition(".")
-    node = diagram.nodes.get(block)
-    declared = None if node is None else node.outputs.get(name) or node.inputs.get(name)
-    if node is None or declared is None:
-        raise RotorsimError(wrong_port(diagram, port))
-    names, unit = entry_names(port, declared.shape), declared.unit or "1"
+    base, places = part_of_port(diagram, port)
+    block, _, name = base.rpartition(".")
+    node = diagram.nodes[block]
+    declared = node.outputs.get(name) or node.inputs[name]
+    names, unit = entry_names(base, declared.shape), declared.unit or "1"
     if name in node.outputs:
-        return [Injection(entry, port, entry, unit) for entry in names]
-    signals = arriving(diagram, block, name)
-    if signals is None:
+        return [Injection(names[k], base, names[k], unit, k) for k in places]
+    signals = entering(diagram, block, name)
+    if any(signals[k] is None for k in places):
         hint = "each entry of the input needs one wire; or name the output port that feeds it"
         raise RotorsimError(Problem("not every entry of this input is one signal", port, hint=hint))
-    made = [Injection(entry, port, signal, unit) for entry, signal in zip(names, signals, strict=True)]
-    rates = arriving(diagram, block, RATE) if name == SENSOR and RATE in node.inputs else None
+    fed = [k for k in places if signals[k]]
+    if not fed:
+        hint = "name a port that a wire comes to, or an output port"
+        raise RotorsimError(Problem("nothing is wired to this input: no loop passes", port, hint=hint))
+    made = [Injection(names[k], base, signals[k] or "", unit, k) for k in fed]
+    rates = entering(diagram, block, RATE) if name == SENSOR and RATE in node.inputs else []
     of_rate = f"{block}.{RATE}"
-    return made + [Injection(of_rate, of_rate, signal, "", count + k) for k, signal in enumerate(rates or ())]
+    pairs = [(at, k, rates[k]) for at, k in enumerate(fed, count) if rates and rates[k]]
+    return made + [Injection(of_rate, of_rate, signal or "", "", k, at) for at, k, signal in pairs]
 
 
-def arriving(diagram: Diagram, block: str, port: str) -> list[str] | None:
-    """Return the name of the signal that arrives at each entry of an input port; None where one has none or several."""
+def part_of_port(diagram: Diagram, name: str) -> tuple[str, list[int]]:
+    """Return the port of a name such as ``rotor.force[3,1]`` or ``rotor.force[3]``, and the positions of its entries.
+
+    Raises RotorsimError for ports and entries that are not there.
+    """
+    base, bracket, inside = name.partition("[")
+    block, _, port = base.rpartition(".")
+    node = diagram.nodes.get(block)
+    declared = None if node is None else node.outputs.get(port) or node.inputs.get(port)
+    if declared is None:
+        raise RotorsimError(wrong_port(diagram, name))
+    try:
+        index = tuple(int(part) - 1 for part in inside.removesuffix("]").split(",")) if bracket else ()
+        if min(index, default=0) < 0 or (bracket and not (inside.endswith("]") and declared.shape)):
+            raise IndexError
+        return base, flat_indices(declared.shape, index).tolist()
+    except (ValueError, IndexError):
+        raise RotorsimError(wrong_port(diagram, name)) from None
+
+
+def disturbed(diagram: Diagram | Model, name: str) -> tuple[Model, str, list[int]]:
+    """Return the model with a port that a test signal is added to, the port, and the entries of a name of it."""
+    if isinstance(diagram, Model) and (given := diagram.trace.external.get(name)) is not None:
+        return diagram, name, list(range(size_of(given.shape)))
+    port, places = part_of_port(diagram.diagram if isinstance(diagram, Model) else diagram, name)
+    return as_model(diagram, (port,)), port, places
+
+
+def entering(diagram: Diagram, block: str, port: str) -> list[str | None]:
+    """Return the name of the signal that arrives at each entry of an input port; "" where none, None where several."""
     shape = diagram.nodes[block].inputs[port].shape
-    entries = np.full(shape, "", object)
+    entries: np.ndarray = np.full(size_of(shape), "", object)
     for wire in diagram.wires:
         if (wire.target.block, wire.target.port) != (block, port):
             continue
         source = diagram.nodes[wire.source.block].outputs[wire.source.port]
-        names = entry_names(f"{wire.source.block}.{wire.source.port}", source.shape)
-        if (entries[wire.target.index] != "").any() if entries.ndim else entries.item():
-            return None
-        entries[wire.target.index] = np.array(names, object).reshape(source.shape)[wire.source.index]
-    flat = entries.ravel().tolist()
-    return None if "" in flat else flat
+        names = np.array(entry_names(f"{wire.source.block}.{wire.source.port}", source.shape), object)
+        places = flat_indices(shape, wire.target.index)
+        coming = names[flat_indices(source.shape, wire.source.index)]
+        entries[places] = np.where(entries[places] == "", coming, None)
+    return [None if one is None else str(one) for one in entries]
+
+
+def arriving(diagram: Diagram, block: str, port: str) -> list[str] | None:
+    """Return the name of the signal that arrives at each entry of an input port; None where one has none or several."""
+    found = [name for name in entering(diagram, block, port) if name]
+    return found if len(found) == size_of(diagram.nodes[block].inputs[port].shape) else None
 
 
 class Loop:
@@ -143,7 +187,10 @@ class Loop:
         ports = tuple(dict.fromkeys(one.port for one in given))
         signals = [one.signal for one in given]
         self.model = as_model(diagram, ports)
-        self.system, self._notes = linear_system(self.model, ports, signals, parameters, at)
+        whole, self._notes = linear_system(self.model, ports, signals, parameters, at)
+        sizes = [size_of(self.model.trace.external[port].shape) for port in ports]
+        first = dict(zip(ports, np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
+        self.system = whole.with_inputs([first[one.port] + one.entry for one in given])
         self.is_sampled = isinstance(self.system, SampledData)
         self.fastest_rate = 1 / self.system.shortest if isinstance(self.system, SampledData) else np.inf
 
@@ -161,7 +208,7 @@ class Loop:
 
         Near all of these S or G_o may change within a narrow band.
         """
-        loops = [self.system, *(self._amplified(0.0, k) for k in range(len(self.axes)))]
+        loops = [self.system, *(self.amplified(0.0, k) for k in range(len(self.axes)))]
         between = [system.flow for system in loops if isinstance(system, SampledData)]
         return np.concatenate([system.poles() for system in (*loops, *between)])
 
@@ -170,28 +217,25 @@ class Loop:
         between = [self.system.flow.poles()] if isinstance(self.system, SampledData) else []
         return np.concatenate([self.system.poles(), *between])
 
-    def _amplified(self, gain: float, axis: int) -> StateSpace | SampledData:
-        """Return the loop with the signal of an axis, and its rate, amplified."""
-        place = self._place[axis]
-        wires = [k for k, one in enumerate(self.injections) if place in (k, one.rate_of)]
-        return self.system.amplified(gain, wires)
-
     @cached_property
     def _stable(self) -> bool:
         return not len(growing_poles(self.system))
 
     def is_stable(self, gain: float = 1.0, axis: int = 0) -> bool:
         """Return whether the closed loop is stable, with the signal of an axis amplified."""
-        return self._stable if gain == 1.0 else not len(growing_poles(self._amplified(gain, axis)))
+        return self._stable if gain == 1.0 else not len(growing_poles(self.amplified(gain, axis)))
 
-    def growing_frequency(self, gain: float, axis: int) -> float:
-        """Return the frequency [Hz] of what grows with the signal of an axis amplified; with samples modulo 1/T."""
-        return float(abs(growing_poles(self._amplified(gain, axis))[0].imag) / (2 * np.pi))
+    def amplified(self, gain: float, axis: int) -> StateSpace | SampledData:
+        """Return the loop with the signal of an axis, and its rate, amplified."""
+        place = self._place[axis]
+        wires = [k for k, one in enumerate(self.injections) if place in (k, one.rate_of)]
+        return self.system.amplified(gain, wires)
 
     def notes(self, highest: float) -> tuple[str, ...]:
         """Return what a reader must know of a loop that is looked at up to a frequency [Hz]."""
         return (
             *self._notes,
+            *_without_signal(self.model.diagram, {axis.port for axis in self.axes}),
             *undisturbed_rates(self.model.diagram, {axis.port for axis in self.axes}),
             *_delays(self.model.diagram, highest),
         )
@@ -219,41 +263,53 @@ def linear_system(
     if not model.n_z:
         linear = linearise(model, parameters=parameters, inputs=ports, outputs=signals, at=at, told=told)
         return linear, linear.notes
-    return _sampled(_linear_model(model, ports, signals, parameters), model), ()
+    part = linear_part(model, ports, signals)
+    return sampled_data(part.at(part.part.parameter_vector(parameters)), model), ()
 
 
 _PARTS: WeakKeyDictionary[Model, dict[tuple[tuple[str, ...], tuple[str, ...]], LinearPart]] = WeakKeyDictionary()
 
 
-def _linear_model(
-    model: Model, ports: Sequence[str], signals: Sequence[str], parameters: Mapping[str, Any] | None
-) -> LinearModel:
-    """Return a diagram with sampled blocks as a linear model. Raises RotorsimError for one that is not linear."""
+def linear_part(model: Model, ports: Sequence[str], signals: Sequence[str]) -> LinearPart:
+    """Return a diagram with sampled blocks as a linear part, made once. Raises RotorsimError where it is not linear."""
     known, asked = _PARTS.setdefault(model, {}), (tuple(ports), tuple(signals))
     if asked not in known:
         known[asked] = LinearPart(open_part(model.diagram, inputs=ports), model.n_z, signals)
     part = known[asked].part
-    linear = known[asked].at(part.parameter_vector(parameters))
-    if not linear.exact:
+    if not known[asked].exact:
         moving = ca.vertcat(part.trace.t, part.trace.x, part.trace.z)
         rates = ca.jacobian(part.trace.xdot, ca.vertcat(part.trace.x, part.trace.z))
         curved = {part.block_of_state(k) for k in range(part.n_x) if ca.depends_on(rates[k, :], moving)}
         subject = ", ".join(sorted(curved)) or ", ".join(sampler.block for sampler in part.trace.samplers)
         hint = "take the linear block ('amb' for 'amb_nonlinear'), or `rotorsim swap` a continuous controller in"
         raise RotorsimError(
-            Problem("with sampled blocks a loop must be linear, with constant coefficients", subject, hint=hint)
+            Problem("with sampled blocks a diagram must be linear, with constant coefficients", subject, hint=hint)
         )
+    return known[asked]
+
+
+def sampled_data(linear: LinearModel, model: Model) -> SampledData:
+    """Return a model with its samplers. Raises RotorsimError without a common period, and where it is not finite."""
     require_finite(model, linear.A[: model.n_x, : model.n_x])
-    return linear
-
-
-def _sampled(linear: LinearModel, model: Model) -> SampledData:
     system = SampledData.of(linear)
     if system is None:
         blocks = ", ".join(sampler.block for sampler in model.trace.samplers)
         what = f"their sample times have no common multiple within {MOST_HITS} hits"
         raise RotorsimError(Problem(what, blocks, hint="round them: 0.1 ms and 0.25 ms, not 0.1 ms and 0.2503 ms"))
     return system
+
+
+def _without_signal(diagram: Diagram, ports: Collection[str]) -> list[str]:
+    """Return the entries of input ports that nothing feeds, since their wires were cut: no loop passes through them."""
+    said = []
+    for port in sorted(ports):
+        block, _, name = port.rpartition(".")
+        node = diagram.nodes[block]
+        if name in node.inputs:
+            names = entry_names(port, node.inputs[name].shape)
+            cut = [one for one, signal in zip(names, entering(diagram, block, name), strict=True) if signal == ""]
+            said += [f"'{one}' is not wired: no loop passes there" for one in cut]
+    return said
 
 
 def undisturbed_rates(diagram: Diagram, ports: Collection[str]) -> list[str]:

@@ -12,8 +12,10 @@ from scipy.optimize import brentq, minimize_scalar
 from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.linear.eigen import unfolded
 from rotorsim.linear.linearisation import provenance, speed_of
-from rotorsim.linear.loop import Loop, injections, open_loop_of, sensor_ports
+from rotorsim.linear.loop import Loop, growing_poles, injections, open_loop_of, sensor_ports
+from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.state_space import frequencies_near
 from rotorsim.model.compiled import Model
 
@@ -245,12 +247,19 @@ def _gain_limit(loop: Loop, k: int, step: float) -> tuple[float, float]:
                 while abs(outside / inside - 1) > near:
                     middle = float(np.sqrt(inside * outside))
                     inside, outside = (middle, outside) if loop.is_stable(middle, k) else (inside, middle)
-                frequency = loop.growing_frequency(outside, k)
+                frequency = _growing_frequency(loop, outside, k)
                 if (exact := _exact_limit(loop, k, outside, frequency)) is not None:
                     return exact
             return outside, frequency
         inside = float(gain)
     return (np.inf if step > 1 else 0.0), np.nan
+
+
+def _growing_frequency(loop: Loop, gain: float, k: int) -> float:
+    """Return the frequency [Hz] of what grows; with samples at the image that shows most in the signals of the loop."""
+    system = loop.amplified(gain, k)
+    pole = complex(growing_poles(system)[0])
+    return unfolded(system, pole)[0] if isinstance(system, SampledData) else float(abs(pole.imag) / (2 * np.pi))
 
 
 def _exact_limit(loop: Loop, k: int, gain: float, frequency: float) -> tuple[float, float] | None:

@@ -2,7 +2,7 @@
 
 Between hits s = R exp(i w t) + exp(A t) xi for an input u = exp(i w t), R = (i w - A)^-1 B; over a common period T of
 all samplers s(T-) = M s(0-) + g(w), and settled motion has s(T-) = exp(i w T) s(0-). What an analyser shows is the
-component of y at w, an integral over T in closed form; the images that sampling makes of it, at w + 2 pi k / T, are not
+component of y at w, an integral over T in closed form; the images that sampling makes of it, at w + 2 pi j / T, are not
 in it but act on it.
 
 Source: Astrom and Wittenmark, Computer-Controlled Systems, sec. 7.5 (frequency response of sampled-data systems).
@@ -12,21 +12,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import cached_property
-from math import lcm
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
 
-from rotorsim.linear.linear_model import LinearModel
-from rotorsim.linear.state_space import StateSpace, solved
+from rotorsim.linear.linear_model import LinearModel, common_period
+from rotorsim.linear.state_space import MANY, Resolvent, StateSpace
 
 AT_A_POLE = 1e-7  # of |s|: a resolvent of a relative distance d is off by 1e-14 / d
 CIRCLE, ON_CIRCLE = 1e-6, np.arange(8) / 8  # radius, of |s|, and turns of places on the circle
 NO_MULTIPLIER = 1e-12  # a multiplier below is zero: its state forgets all within a period
-MOST_HITS = 10_000  # of a common period: so many matrices are multiplied for each frequency
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +44,7 @@ class SampledData:
         """Return that of a linear model with samplers; None without a common period of at most 10000 hits."""
         if (period := common_period(model.periods)) is None:
             return None
-        times = [0.0, *model.hits(0.0, period - min(model.periods) / 2)]
+        times = model.period_hits()
         flow = StateSpace(model.A, model.B, model.C, model.D)
         return cls(flow, tuple(times), tuple(model.at_hit(t) for t in times), period, min(model.periods))
 
@@ -67,8 +64,11 @@ class SampledData:
     def monodromy(self) -> np.ndarray:
         """M (n, n), by which s changes over a period without input."""
         M = np.eye(len(self.flow.A))
-        for P, (J, _) in zip(self.transitions, self.jumps, strict=True):
-            M = P @ J @ M
+        for k, (P, (J, _)) in enumerate(zip(self.transitions, self.jumps, strict=True)):
+            change = J - np.eye(len(J))
+            jumping = np.any(change, axis=1)  # few: what is held between hits
+            jumps = change[jumping] @ M if k else change[jumping]
+            M = (P @ M if k else P) + P[:, jumping] @ jumps
         return M
 
     def poles(self) -> np.ndarray:
@@ -82,55 +82,191 @@ class SampledData:
         jumps = tuple((J + K @ F, K[:, :0]) for J, K in self.jumps)
         return replace(self, flow=self.flow.amplified(gain, wires), jumps=jumps)
 
+    def with_inputs(self, places: Sequence[int]) -> SampledData:
+        """Return it with some of its inputs."""
+        jumps = tuple((J, K[:, places]) for J, K in self.jumps)
+        return replace(self, flow=self.flow.with_inputs(places), jumps=jumps)
+
+    def with_outputs(self, places: Sequence[int]) -> SampledData:
+        """Return it with some of its outputs."""
+        return replace(self, flow=self.flow.with_outputs(places))
+
+    def opened(self) -> SampledData:
+        """Return it with the loops of the first outputs open, see `StateSpace.opened`."""
+        F, G = self.flow.opening()
+        return replace(self, flow=self.flow.opened(), jumps=tuple((J + K @ F, K @ G) for J, K in self.jumps))
+
     def response(self, frequencies: Any) -> np.ndarray:
         """Return the component of y at f for inputs exp(i 2 pi f t), f [Hz] not 0, shape (len(f), k, m).
 
         It is analytic at an undamped pole between hits, where (i w - A)^-1 is not: there it is the mean over a circle.
         """
         s = 2j * np.pi * np.atleast_1d(np.asarray(frequencies, float))
-        poles = np.linalg.eigvals(self.flow.A)
-        distance = np.abs(s[:, None] - poles).min(axis=1, initial=np.inf)
-        at_a_pole = distance < AT_A_POLE * np.abs(s)
+        solvers = self._solvers(s)
+        at_a_pole = self._at_a_pole(s, solvers.flow)
         found = np.empty((len(s), len(self.flow.C), self.flow.B.shape[1]), complex)
+        if not at_a_pole.any():
+            return self._in_parts(s, solvers)
         if (~at_a_pole).any():
-            found[~at_a_pole] = self._in_parts(s[~at_a_pole])
-        if at_a_pole.any():
-            around = s[at_a_pole, None] + CIRCLE * np.abs(s[at_a_pole, None]) * np.exp(2j * np.pi * ON_CIRCLE)
-            values = self._in_parts(around.ravel()).reshape(len(around), len(ON_CIRCLE), *found.shape[1:])
-            found[at_a_pole] = values.mean(axis=1)
+            found[~at_a_pole] = self._in_parts(s[~at_a_pole], self._solvers(s[~at_a_pole]))
+        around = _circle(s[at_a_pole])
+        values = self._in_parts(around.ravel(), self._solvers(around.ravel()))
+        found[at_a_pole] = values.reshape(len(around), len(ON_CIRCLE), *found.shape[1:]).mean(axis=1)
         return found
 
-    def _in_parts(self, s: np.ndarray) -> np.ndarray:
-        chunks = np.array_split(s, 1 + len(s) * len(self.flow.A) ** 2 // 2_000_000)
-        return np.concatenate([self._response(part) for part in chunks])
+    def clear_of_poles(self, s: complex) -> np.ndarray:
+        """Return s alone, or at a pole of the flow places around it: over these what is analytic there is averaged."""
+        return _circle(np.array([s]))[0] if self._at_a_pole(np.array([s]))[0] else np.array([s])
 
-    def _response(self, s: np.ndarray) -> np.ndarray:
-        flow, n = self.flow, len(self.flow.A)
-        resolvents = s[:, None, None] * np.eye(n) - flow.A
-        R = solved(resolvents, flow.B)
-        turn = np.exp(s[:, None, None] * np.array([*self.times, self.period])[:, None, None, None])
-        M, g = np.eye(n), np.zeros_like(R)  # s = M s(0-) + g behind each interval
-        starts = []  # of xi
-        for k, (P, (J, K)) in enumerate(zip(self.transitions, self.jumps, strict=True)):
-            starts.append((J @ M, J @ g + (K - R) * turn[k]))
-            M, g = P @ starts[-1][0], P @ starts[-1][1] + R * turn[k + 1]
-        s0 = solved(turn[-1] * np.eye(n) - M, g)
-        total = R * self.period
-        for k, (P, (by_s0, by_u)) in enumerate(zip(self.transitions, starts, strict=True)):
-            xi = (by_s0 @ s0 + by_u) / turn[k]
-            total = total + solved(resolvents, xi - (P @ xi) * np.exp(-s[:, None, None] * self.lengths[k]))
-        response = flow.C @ total / self.period + flow.D
+    def _at_a_pole(self, s: np.ndarray, flow: _Many | _Few | None = None) -> np.ndarray:
+        """Return which s (F,) are at a pole of the flow. Matrices that are far from singular have none there."""
+        if isinstance(flow, _Few) and flow.conditions().min(initial=1.0) > AT_A_POLE:
+            return np.zeros(len(s), bool)
+        return np.asarray(np.abs(s[:, None] - self._flow_poles).min(axis=1, initial=np.inf) < AT_A_POLE * np.abs(s))
+
+    @cached_property
+    def _flow_poles(self) -> np.ndarray:
+        return self.flow.poles()
+
+    @cached_property
+    def _resolvents(self) -> tuple[Resolvent, Resolvent]:
+        """(s - A)^-1 and (z - M)^-1 at many s and z."""
+        return Resolvent(self.flow.A), Resolvent(self.monodromy)
+
+    @cached_property
+    def _apart(self) -> tuple[_Apart, _Apart]:
+        """A and M."""
+        return _Apart.of(self.flow.A), _Apart.of(self.monodromy)
+
+    def _solvers(self, s: np.ndarray) -> _Solvers:
+        """Return what solves (s - A) X = B and (exp(s T) - M) X = B, by decompositions once there are many s."""
+        z = np.exp(s * self.period)
+        if len(s) >= MANY:
+            flow, turn = self._resolvents
+            return _Solvers(_Many(flow, s), _Many(turn, z))
+        return _Solvers(*(_Few(one, at) for one, at in zip(self._apart, (s, z), strict=True)))
+
+    def _in_parts(self, s: np.ndarray, solvers: _Solvers) -> np.ndarray:
+        parts = 1 + len(s) * self.flow.B.size // 2_000_000
+        if parts == 1:
+            return self._response(s, solvers)
+        return np.concatenate([self._response(part, self._solvers(part)) for part in np.array_split(s, parts)])
+
+    def _response(self, s: np.ndarray, solvers: _Solvers) -> np.ndarray:
+        motion = self.motion(s, self.flow.B[None], [K[None] for _, K in self.jumps], solvers)
+        response = _times(self.flow.C, motion.mean) + self.flow.D
         response[np.isnan(response).any(axis=(1, 2))] = np.inf
         return np.asarray(response)
 
+    def motion(
+        self, s: np.ndarray, B: np.ndarray, K: Sequence[np.ndarray], solvers: _Solvers | None = None
+    ) -> SettledMotion:
+        """Return the settled motion for s' = A s + B exp(s t) between hits and s := J s + K exp(s t) at each.
 
-def common_period(periods: Sequence[float]) -> float | None:
-    """Return the shortest time [s] of which all periods are whole fractions; None where it has too many hits."""
-    base = min(periods)
-    ratios = [Fraction(T / base).limit_denominator(1000) for T in periods]
-    if any(abs(float(r) * base / T - 1) > 1e-9 for r, T in zip(ratios, periods, strict=True)):
-        return None
-    tick = lcm(*(r.denominator for r in ratios))  # base / tick: periods are whole numbers of it
-    counts = [int(r * tick) for r in ratios]
-    whole = lcm(*counts)
-    return None if sum(whole // count for count in counts) > MOST_HITS else whole * base / tick
+        s (F,) [1/s], not 0; B and each K (F or 1, n, m). With jumps d_k at t_k, the component of s(t) at exp(s t) has
+        (s - A) X = B + (1 / T) sum d_k exp(-s t_k): s' exp(-s t), integrated over T by parts.
+        """
+        flow, turn = solvers or self._solvers(s)
+        R = flow.solved(B)
+        waves = np.exp(s[:, None, None] * np.array([*self.times, self.period])[:, None, None, None])
+        steps = list(zip(self.transitions, self.jumps, K, waves, waves[1:], strict=False))
+        g = np.zeros_like(R)
+        for P, (J, _), k, now, then in steps:
+            g = _times(P, _times(J, g) + (k - R) * now) + R * then
+        before = [turn.solved(g)]
+        after, right = [], B + np.zeros_like(R)
+        for P, (J, _), k, now, then in steps:
+            after.append(_times(J, before[-1]) + k * now)
+            right = right + (after[-1] - before[-1]) / (now * self.period)
+            before.append(_times(P, after[-1] - R * now) + R * then)
+        return SettledMotion(s, R, tuple(after), flow.solved(right))
+
+
+def _times(real: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """Return real (k, n) times X (F, n, m) complex: as real products, without a complex copy of the first."""
+    F, n, m = X.shape
+    pairs = np.ascontiguousarray(X, complex).view(float) if m else np.zeros((F, n, 0))
+    return np.asarray((real @ pairs).view(complex) if m else np.zeros((F, len(real), 0), complex))
+
+
+def _circle(s: np.ndarray) -> np.ndarray:
+    """Return places around each s (F,), (F, 8)."""
+    return np.asarray(s[:, None] + CIRCLE * np.abs(s[:, None]) * np.exp(2j * np.pi * ON_CIRCLE))
+
+
+@dataclass(frozen=True, eq=False)
+class SettledMotion:
+    """s(t) = R exp(s t) + exp(A (t - t_k)) (after[k] - R exp(s t_k)) behind the hit at t_k; (F, n, m) each.
+
+    mean: of s(t) exp(-s t) over a period, which is the component at s. Those at s + 2 pi i j / T are its images.
+    """
+
+    s: np.ndarray
+    R: np.ndarray
+    after: tuple[np.ndarray, ...]
+    mean: np.ndarray
+
+
+class _Many(NamedTuple):
+    """(s - A)^-1 by one decomposition of A."""
+
+    resolvent: Resolvent
+    s: np.ndarray
+
+    def solved(self, right: np.ndarray) -> np.ndarray:
+        return self.resolvent.times(right if len(right) > 1 else right[0], self.s)
+
+
+class _Apart(NamedTuple):
+    """A matrix, its states that are held (A_j = 0) apart; the others balanced: moving = scale^-1 A scale, and driven by
+    the held ones."""
+
+    places: np.ndarray
+    held: np.ndarray
+    moving: np.ndarray
+    scale: np.ndarray
+    driven: np.ndarray
+
+    @classmethod
+    def of(cls, A: np.ndarray) -> _Apart:
+        from scipy.linalg import matrix_balance  # as long to load as a short run takes
+
+        moves = np.any(A, axis=1)
+        balanced, (scale, _) = matrix_balance(A[np.ix_(moves, moves)], permute=False, separate=True)
+        return cls(np.flatnonzero(moves), np.flatnonzero(~moves), balanced, scale[:, None], A[np.ix_(moves, ~moves)])
+
+
+class _Few:
+    """(s - A)^-1 by triangular factors at each s."""
+
+    def __init__(self, A: _Apart, s: np.ndarray) -> None:
+        from scipy.linalg.lapack import zgetrf
+
+        self._A, self._s = A, s[:, None, None]
+        matrices = self._s * np.eye(len(A.moving)) - A.moving
+        self._norms = np.abs(matrices).sum(axis=1).max(axis=1, initial=0.0)
+        self._factors = [zgetrf(np.asfortranarray(matrix), overwrite_a=1) for matrix in matrices]
+
+    def solved(self, right: np.ndarray) -> np.ndarray:
+        """Return (s - A)^-1 right, (F, n, m); NaN on a pole."""
+        from scipy.linalg.lapack import zgetrs
+
+        right = np.broadcast_to(right, (len(self._s), *right.shape[1:]))
+        found, A = np.empty(right.shape, complex), self._A
+        found[:, A.held] = right[:, A.held] / self._s
+        columns = (right[:, A.places] + A.driven @ found[:, A.held]) / A.scale
+        for k, (lu, pivots, info) in enumerate(self._factors):
+            found[k, A.places] = np.nan if info else zgetrs(lu, pivots, columns[k])[0] * A.scale
+        return found
+
+    def conditions(self) -> np.ndarray:
+        """Return reciprocal condition numbers: below the relative distance of s to a pole, if s is in the matrix."""
+        from scipy.linalg.lapack import zgecon
+
+        factors = zip(self._factors, self._norms, strict=True)
+        return np.array([0.0 if info else zgecon(lu, norm)[0] for (lu, _, info), norm in factors])
+
+
+class _Solvers(NamedTuple):
+    flow: _Many | _Few
+    turn: _Many | _Few

@@ -84,7 +84,7 @@ def _uncertain(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
     balanced = matrix_balance(A, permute=False)[0]
     values, left, right = eig(balanced, left=True, right=True)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         kappa = np.linalg.norm(left, axis=0) * np.linalg.norm(right, axis=0) / overlap
     return values, left, right, 10 * len(A) * EPS * np.linalg.norm(balanced) * kappa
 

@@ -33,6 +33,28 @@ class StateSpace:
         kept = reached(pattern, (self.B != 0).any(axis=1)) & reached(pattern.T, (self.C != 0).any(axis=0))
         return StateSpace(self.A[np.ix_(kept, kept)], self.B[kept], self.C[:, kept], self.D)
 
+    def with_inputs(self, places: Sequence[int]) -> StateSpace:
+        """Return it with some of its inputs."""
+        return StateSpace(self.A, self.B[:, places], self.C, self.D[:, places])
+
+    def with_outputs(self, places: Sequence[int]) -> StateSpace:
+        """Return it with some of its outputs."""
+        return StateSpace(self.A, self.B, self.C[places], self.D[places])
+
+    def opened(self) -> StateSpace:
+        """Return it with u + y of the first outputs replaced by new inputs: their loops are open there.
+
+        u = r - y: u = (I + D_1)^-1 (r - C_1 x) of the first m outputs.
+        """
+        F, G = self.opening()
+        return StateSpace(self.A + self.B @ F, self.B @ G, self.C + self.D @ F, self.D @ G)
+
+    def opening(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return F (m, n) and G (m, m) of u = F x + G r that opens the loops of the first m outputs."""
+        m = self.B.shape[1]
+        G = np.linalg.inv(np.eye(m) + self.D[:m])
+        return -G @ self.C[:m], G
+
     def amplified(self, gain: float, wires: Sequence[int]) -> StateSpace:
         """Return it with u_k = (gain - 1) y_k of some wires k, without inputs: what arrives there is amplified."""
         return StateSpace(self.A + self.B @ self.amplification(gain, wires), self.B[:, :0], self.C, self.D[:, :0])
@@ -71,7 +93,9 @@ class Resolvent:
         from scipy.linalg import matrix_balance, schur  # as long to load as a short run takes
 
         self._A, (self._scale, _) = matrix_balance(A, permute=False, separate=True)
-        self._T, self._Q = schur(self._A, output="complex")
+        T, self._Q = schur(self._A, output="complex")
+        self._poles, self._triangle = np.diag(T).copy(), np.asfortranarray(-T)
+        self._conjugate = self._Q.conj()
 
     def times(self, B: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Return the solutions X (len(s), n, m) of (s I - A) X = B, B (n, m) or (len(s), n, m); NaN on a pole."""
@@ -84,12 +108,11 @@ class Resolvent:
     def _solved(self, s: np.ndarray, rows: np.ndarray) -> np.ndarray:
         from scipy.linalg.lapack import ztrtrs
 
-        found = _times(rows, self._Q.conj())
-        triangle, poles = np.asfortranarray(-self._T), np.diag(self._T).copy()
-        diagonal = triangle.reshape(-1, order="F")[:: len(poles) + 1]
+        found = _times(rows, self._conjugate)
+        diagonal = self._triangle.reshape(-1, order="F")[:: len(self._poles) + 1]  # a view
         for k, at in enumerate(s):
-            diagonal[:] = at - poles
-            _, info = ztrtrs(triangle, found[k].T, overwrite_b=1)  # in place
+            diagonal[:] = at - self._poles
+            _, info = ztrtrs(self._triangle, found[k].T, overwrite_b=1)  # in place
             if info:
                 found[k] = np.nan
         return _times(found, self._Q.T)

@@ -14,8 +14,8 @@ from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.eigenmodes import RESONANT
-from rotorsim.linear.linearisation import as_model, entry_names, flat_names, given_units, provenance, units_of
-from rotorsim.linear.loop import growing_poles, linear_system
+from rotorsim.linear.linearisation import entry_names, flat_names, given_units, provenance, units_of
+from rotorsim.linear.loop import disturbed, growing_poles, linear_system
 from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
@@ -90,8 +90,9 @@ def step_response(
     """
     if stop is not None and not (np.isfinite(stop) and stop > 0):
         raise RotorsimError(Problem("must be positive and finite [s]", "stop"))
-    model = as_model(diagram, (input,))
-    system, notes = linear_system(model, (input,), (output,), parameters, at)
+    model, port, places = disturbed(diagram, input)
+    whole, notes = linear_system(model, (port,), (output,), parameters, at)
+    system = whole.with_inputs(places)
     stable = not len(growing_poles(system))
     flow = system.flow if isinstance(system, SampledData) else system
     poles = system.poles() if isinstance(system, SampledData) else flow.connected().poles()
@@ -100,8 +101,8 @@ def step_response(
     notes = (*notes, *_said(poles, end, step))
     step = max(step, end / (MOST_TIMES - 1))
     time, value = _sampled(system, end) if isinstance(system, SampledData) else _continuous(system, end, step)
-    given = model.trace.external[input]
-    outputs, inputs = tuple(flat_names(model, output)), tuple(entry_names(given.name, given.shape))
+    given = model.trace.external[port]
+    outputs, inputs = tuple(flat_names(model, output)), tuple(entry_names(port, given.shape)[k] for k in places)
     rings_on = (np.abs(poles.imag) > 0) & (-poles.real <= UNDAMPED * np.abs(poles))
     rests = stable and not rings_on.any()
     final = _final(system, step) if rests else np.full(value.shape[1:], np.nan)
@@ -109,7 +110,8 @@ def step_response(
         _numbers(outputs[o], inputs[i], time, value[:, o, i], float(final[o, i]))
         for o, i in np.ndindex(*value.shape[1:])
     ]
-    pairs = tuple((above, below) for above in units_of(model, (output,)) for below in given_units(model, given))
+    units = [given_units(model, given)[k] for k in places]
+    pairs = tuple((above, below) for above in units_of(model, (output,)) for below in units)
     return StepResponse(
         time,
         value,

@@ -29,12 +29,16 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Injected:
-    """A document with sweeps at ports. signals: recorded ones -> port, role, unit; sources, shapes: of the ports."""
+    """A document with sweeps at ports. signals: recorded ones -> port, role, unit; sources, shapes: of the ports.
+
+    axes: entries of ports at which it is injected.
+    """
 
     document: dict[str, Any]
     signals: dict[str, tuple[str, str, str]] = field(default_factory=dict)
     sources: dict[str, str] = field(default_factory=dict)
     shapes: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    axes: tuple[str, ...] = ()
 
     def cases(self, sweep: Sweep) -> list[tuple[str, dict[str, Any]]]:
         """Return the axes, and the parameters with which only each of them is injected at."""
@@ -46,7 +50,8 @@ class Injected:
                 amplitude[entry] = sweep.amplitude[port]
                 index = ",".join(str(k + 1) for k in entry)
                 name = f"{port}[{index}]" if index else port
-                found.append((name, {**quiet, f"{source}.amplitude": amplitude}))
+                if name in self.axes:
+                    found.append((name, {**quiet, f"{source}.amplitude": amplitude}))
         return found
 
 
@@ -56,13 +61,14 @@ def with_sweeps(diagram: Diagram, ports: Sequence[str], sweep: Sweep, window: tu
     With the ``displacement`` of a controller its wired velocity is disturbed by the rate of the sweep.
     Raises RotorsimError for ports that do not exist or are not single signals, and for those within sub-diagrams.
     """
-    injections(diagram, ports)
+    axes = tuple(one.name for one in injections(diagram, ports) if one.rate_of is None)
+    ports = list(dict.fromkeys(port.partition("[")[0] for port in ports))
     inside = [port for port in ports if "/" in port]
     if inside:
         hint = "record the sub-diagram alone"
         raise RotorsimError(*(Problem("a port within a sub-diagram", port, hint=hint) for port in inside))
-    made = Injected(dict(diagram.document))
-    for k, port in enumerate(dict.fromkeys(ports), 1):
+    made = Injected(dict(diagram.document), axes=axes)
+    for k, port in enumerate(ports, 1):
         name = f"injection{k}" if len(ports) > 1 else "injection"
         while any(taken.startswith(f"{name}_") for taken in diagram.nodes):
             name += "x"
@@ -87,6 +93,10 @@ def with_sweeps(diagram: Diagram, ports: Sequence[str], sweep: Sweep, window: tu
             document = add_signal(document, f"{block}.{RATE}", f"{name}_test.rate", f"{name}_rate", is_output=False)
         signals = {f"{name}_{role}.output": (port, role, unit) for role in (TEST, BEFORE, AFTER)}
         made = Injected(
-            document, {**made.signals, **signals}, {**made.sources, port: f"{name}_test"}, {**made.shapes, port: shape}
+            document,
+            {**made.signals, **signals},
+            {**made.sources, port: f"{name}_test"},
+            {**made.shapes, port: shape},
+            axes,
         )
     return made

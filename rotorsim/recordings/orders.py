@@ -84,6 +84,7 @@ class OrderRun:
     2 mean(x exp(-i order theta)) over the turns of the row; NaN where nothing was measured. time (n,) [s]: of the
     middle of each row; None: the rows are successive turns. turns: of each row. settings, use, place: as of `Run`.
     sense: 1 where the shaft turns from x to y, -1 the other way round; its angle is counted as it turns.
+    noise: of rows that are runs at constant speeds, settled: channel -> variance of the real parts. None: of a run-up.
     """
 
     id: str
@@ -96,6 +97,7 @@ class OrderRun:
     use: str
     place: Place
     sense: int = 1
+    noise: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from rotorsim.model.compiled import Model
 from rotorsim.settled.balance import Balance, Solution, harmonics_of, samples_of
 from rotorsim.settled.equations import Equations, PortEquations
 from rotorsim.settled.floquet import STABLE_MULTIPLIER, largest_multiplier
-from rotorsim.settled.forcing import ZERO_COEFFICIENT, Forcing
+from rotorsim.settled.forcing import Forcing, size_beyond
 from rotorsim.settled.resolvent import shifted
 
 FIRST_HARMONICS = 15
@@ -117,7 +117,7 @@ def _direct(setup: Setup, base: np.ndarray, p: np.ndarray, settings: Settings) -
         status = [UNSTABLE if ok is False and text == "settled" else text for ok, text in pairs]
     H = _needed_harmonics(X, settings.tolerance) if settings.harmonics is None else settings.harmonics
     count = X.shape[1]
-    left_out = _size_beyond(X, min(H, count - 1 if series.ended else 7 * count // 8))
+    left_out = size_beyond(X, min(H, count - 1 if series.ended else 7 * count // 8))
     counters = {"samples": series.samples, "solves": X.shape[0] * int(np.any(series.F != 0, axis=(0, 2)).sum())}
     return Orbits(X[:, : H + 1], status, stable, seeds, drifting, "direct", left_out, counters)
 
@@ -133,15 +133,6 @@ def _responses(A: np.ndarray, F: np.ndarray, base: np.ndarray, drifting: list[in
     for part in np.array_split(orders, 1 + len(orders) * n * n_x * n_x // 4_000_000):
         X[:, part] = solved(shifted(A, 1j * part * base[:, None], ()), F[:, part, :, None])[..., 0]
     return X
-
-
-def _size_beyond(X: np.ndarray, H: int) -> np.ndarray:
-    """Return the largest harmonic above order H relative to the largest but the mean, worst state, (speeds,)."""
-    size = np.abs(X[:, 1:])
-    largest = size.max(axis=1, initial=0.0)
-    beyond = size[:, H:].max(axis=1, initial=0.0)
-    moving = largest > ZERO_COEFFICIENT * largest.max(axis=1, keepdims=True, initial=0.0)
-    return np.asarray(np.divide(beyond, largest, out=np.zeros_like(beyond), where=moving).max(axis=1, initial=0.0))
 
 
 def _needed_harmonics(X: np.ndarray, tolerance: float) -> int:
@@ -213,7 +204,7 @@ def _balanced(setup: Setup, base: np.ndarray, p: np.ndarray, settings: Settings)
         seeds=sorted({k for orbit in done for k in orbit.seeds}),
         drifting=sorted({k for orbit in done for k in orbit.drifting}),
         method="harmonic balance",
-        truncation=_size_beyond(X, min(H, 7 * count // 8)),
+        truncation=size_beyond(X, min(H, 7 * count // 8)),
         counters={"newton_steps": sum(orbit.steps for orbit in every)},
         finer=finer,
     )

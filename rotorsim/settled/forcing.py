@@ -154,3 +154,12 @@ def _composite(ends: np.ndarray, H: int) -> tuple[np.ndarray, np.ndarray]:
         nodes.append((low + high) / 2 + (high - low) / 2 * x)
         weights.append((high - low) / 2 * w)
     return np.concatenate(nodes), np.concatenate(weights)
+
+
+def size_beyond(X: np.ndarray, H: int) -> np.ndarray:
+    """Return the largest harmonic above order H relative to the largest but the mean, worst state, (speeds,)."""
+    size = np.abs(X[:, 1:])
+    largest = size.max(axis=1, initial=0.0)
+    beyond = size[:, H:].max(axis=1, initial=0.0)
+    moving = largest > ZERO_COEFFICIENT * largest.max(axis=1, keepdims=True, initial=0.0)
+    return np.asarray(np.divide(beyond, largest, out=np.zeros_like(beyond), where=moving).max(axis=1, initial=0.0))

@@ -67,18 +67,20 @@ def periodic(
     (eigenvalues of A, or Floquet multipliers). tolerance: relative size of the harmonics left out.
     progress: is told the share that is done, of harmonic balance, which goes speed by speed.
 
+    With sampled blocks the diagram must be linear; harmonics are then exact, and what sampling adds beside them is in
+    ``images``, see `rotorsim.settled.sampled_motion`.
     Where a part hides its equations the diagram is co-simulated, and the motion extrapolated to where it settles.
 
     A speed at which no solution is found says so in ``status`` and leaves the others as they are.
 
-    Raises RotorsimError for sampled blocks, motion that is not periodic (a ramp, another period), wrong names.
+    Raises RotorsimError for sampled blocks in a diagram that is not linear, motion that is not periodic (a ramp,
+    another period), wrong names.
     Source: Cameron & Griffin, J. Appl. Mech. 56 (1989) 149-154; Krack & Gross, Harmonic Balance for Nonlinear
     Vibration Problems (2019), ch. 2-4.
     """
     model = model_for_runs(diagram, called=False)
     if not model.hidden:
         model = linear.as_model(model)
-        linear.refuse_sampled(model, "periodic")
     require_speed(model, "periodic")
     if subharmonic < 1 or (harmonics is not None and harmonics < 1):
         raise RotorsimError(Problem(what="subharmonic and harmonics must be at least 1", subject="periodic"))
@@ -100,6 +102,9 @@ def periodic(
 
     base = values / subharmonic
     names = _returning(setup, signals, float(base[0]), p[0])
+    if model.n_z:
+        given = [{**(parameters or {}), "speed": float(speed)} for speed in values]
+        return _sampled(model, Channels(model, names), values, subharmonic, given, harmonics, stability, progress)
     outputs = setup.outputs.get(names) or setup.outputs.setdefault(names, _Outputs(model, names))
     motion = orbits(setup, base, p, Settings(harmonics, tolerance, stability, progress))
     _refuse_beyond_limits(setup, base, p, motion)
@@ -129,6 +134,53 @@ def periodic(
             "harmonics": H,
             "turns": subharmonic,
         },
+    )
+
+
+def _sampled(
+    model: Model,
+    channels: Channels,
+    speeds: np.ndarray,
+    turns: int,
+    given: Sequence[Mapping[str, Any]],
+    harmonics: int | None,
+    stability: bool,
+    progress: Callable[[float], None] | None,
+) -> Periodic:
+    """Return the motion of a linear diagram with sampled blocks."""
+    from rotorsim.settled.sampled_motion import sampled_motion  # loads matrix functions of SciPy
+
+    motion = sampled_motion(
+        model,
+        channels.names,
+        speeds / turns,
+        given,
+        channels.signals,
+        harmonics=harmonics,
+        stability=stability,
+        progress=progress,
+    )
+    H, none = motion.Y.shape[1] - 1, np.zeros(len(speeds))
+    text = f"; drifts: {', '.join(motion.drifting)}" if motion.drifting else ""
+    return Periodic(
+        speeds=speeds,
+        orders=np.arange(-H, H + 1) / (turns if turns > 1 else 1),
+        harmonics=channels.signals(np.concatenate([motion.Y[:, :0:-1].conj(), motion.Y], axis=1)),
+        units=channels.units,
+        status=tuple(said + text if said.startswith("settled") else said for said in motion.status),
+        stable=motion.stable,
+        truncation=motion.truncation,
+        truncation_error=none,
+        drifting=motion.drifting,
+        counters={"samples": motion.samples},
+        provenance={
+            **linear.provenance(model, given[0], "periodic"),
+            "method": "sampled",
+            "harmonics": H,
+            "turns": turns,
+        },
+        largest_values=motion.largest,
+        images=motion.images,
     )
 
 

@@ -25,6 +25,8 @@ class Periodic(Shown):
     size of the harmonics of the states that are left out, relative to the largest but the mean.
     truncation_error (n,): what leaving them out changes of those kept, relative to the largest, worst channel: zero in
     a linear diagram, and where as many are kept as needed. drifting: flat names of states without a mean.
+    images: of sampled blocks, name -> (n,): largest magnitude of what the motion has beside its harmonics, at
+    orders[k] W + 2 pi j / T, T the common sample time. largest_values: name -> (n,) of all of the motion then.
     """
 
     speeds: np.ndarray
@@ -38,6 +40,8 @@ class Periodic(Shown):
     drifting: tuple[str, ...] = ()
     counters: Mapping[str, int] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    largest_values: Mapping[str, np.ndarray] = field(default_factory=dict)
+    images: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     _figure = "rotorsim.report.figures.linear:periodic_figure"
 
@@ -78,12 +82,25 @@ class Periodic(Shown):
         return np.asarray(values[:, place[0]])
 
     def time_history(self, signal: str, n: int = 256) -> tuple[np.ndarray, np.ndarray]:
-        """Return times (speeds, n) [s] over one period and the signal there, complex for two axes, else real."""
+        """Return times (speeds, n) [s] over one period and the signal there, complex for two axes, else real.
+
+        Of its harmonics: without the images of sampled blocks.
+        """
         values = np.nan_to_num(self._values(signal), nan=0.0) if self.drifting else self._values(signal)
         angle = np.arange(n) * (2 * np.pi * self._turns / n)
         motion = values @ np.exp(1j * np.outer(self.orders, angle))
         real = np.allclose(values, values[:, ::-1].conj(), rtol=1e-9, atol=0, equal_nan=True)
         return angle[None] / self.speeds[:, None], motion.real if real else motion
+
+    def largest(self, signal: str) -> np.ndarray:
+        """Return the largest magnitude of a signal at every speed, (n,): of x + i y the distance from the centre.
+
+        With sampled blocks at every phase of the samplers against the shaft, images included. NaN without a solution.
+        """
+        self._values(signal)
+        if self.largest_values:
+            return np.asarray(self.largest_values[signal])
+        return np.asarray(np.abs(self.time_history(signal)[1]).max(axis=1))
 
     @property
     def _turns(self) -> int:

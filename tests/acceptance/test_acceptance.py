@@ -177,9 +177,9 @@ def test_what_is_not_given_is_not_judged_and_says_why() -> None:
 
 def test_a_sampled_controller_is_judged_by_its_exact_loop() -> None:
     pid = {"type": "discrete_pid", "parameters": {"KP": 12500.0, "KI": 10.0, "KD": 3.75, "sample_time": "0.01 ms"}}
-    given = {"operating": (300.0, 500.0), "trip": 1200.0}
+    given = {"operating": (300.0, 500.0), "trip": 1200.0, "clearance": 0.3e-3}
     sampled, continuous = (accept(load(jeffcott(4e5, 150.0, one)), **given) for one in (pid, None))
-    for what in ("peak of |S|", "A_max, peak to peak", "log decrement", "separation margin"):
+    for what in ("D_max / C_min", "peak of |S|", "A_max, peak to peak", "log decrement", "separation margin"):
         assert of(sampled, what)[0].value == pytest.approx(of(continuous, what)[0].value, rel=0.15), what
         assert of(sampled, what)[0].value != of(continuous, what)[0].value
     modes = [next(one for one in of(found, "log decrement")).where for found in (sampled, continuous)]

@@ -291,3 +291,104 @@ def refused(wires: list[list[str]] | None = None, **parameters: Any) -> list[str
     with pytest.raises(RotorsimError) as caught:
         load(made if wires is None else {**made, "wires": wires})
     return [str(problem) for problem in caught.value.problems]
+
+
+def chain() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return frequencies, mass-normalised shapes (n, modes) and flexibility of ten masses on springs, one end held."""
+    n, m, k = 10, 8.0, 4e8
+    S = k * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    S[-1, -1] = k
+    w2, shapes = eigh(S, m * np.eye(n))
+    return np.sqrt(w2), shapes, np.linalg.inv(S)
+
+
+STATIONS = [2, 5, 9]
+
+
+def of_chain(count: int, residual: bool, damping: float = 0.0, **more: Any) -> dict[str, Any]:
+    """Return parameters of a casing of ``count`` of the modes in x, the residual of the others if wanted."""
+    w, shapes, flexibility = chain()
+    seen = shapes[STATIONS, :count]
+    values: dict[str, Any] = {
+        "natural_frequency": w[:count],
+        "damping_ratio": np.full(count, damping),
+        "modal_mass": np.ones(count),
+        "mode_shape_x": seen.T,
+        "mode_shape_y": np.zeros((count, 3)),
+    }
+    if residual:
+        R = flexibility[np.ix_(STATIONS, STATIONS)] - seen / w[:count] ** 2 @ seen.T
+        left_out = float(w[min(count, len(w) - 1)])
+        values |= {"residual_flexibility_x": R, "residual_frequency": left_out, "residual_damping_ratio": damping}
+    return {**values, **more}
+
+
+def receptance(values: dict[str, Any], residual: bool, at: float) -> np.ndarray:
+    """Return u / f in x (3, 3) at a frequency [rad/s], from the equations of the block: states by their slopes."""
+    block = prepare("flexible_casing", {"force": (3, 2)}, values, options={"residual": True} if residual else {})
+    count = len(values["natural_frequency"])
+    shapes = {"position": (count,), "velocity": (count,)}
+    shapes |= {"sway": (3, 2), "sway_rate": (3, 2)} if residual else {}
+    zero = {name: np.zeros(shape) for name, shape in shapes.items()}
+
+    def flat(found: Any) -> np.ndarray:
+        return np.concatenate([np.ravel(found.derivatives[name]) for name in shapes])
+
+    def out(found: Any) -> np.ndarray:
+        return np.asarray(found.outputs["displacement"])[:, 0]
+
+    columns, seen = [], []
+    for name, shape in shapes.items():
+        for entry in np.ndindex(*shape):
+            state = {**zero, name: zero[name].copy()}
+            state[name][entry] = 1.0
+            found = block.evaluate({"force": np.zeros((3, 2))}, state)
+            columns.append(flat(found))
+            seen.append(out(found))
+    driven = []
+    for station in range(3):
+        force = np.zeros((3, 2))
+        force[station, 0] = 1.0
+        found = block.evaluate({"force": force}, zero)
+        assert not out(found).any()  # no algebraic loop
+        driven.append(flat(found))
+    A, B, C = np.array(columns).T, np.array(driven).T, np.array(seen).T
+    return np.asarray(C @ np.linalg.solve(1j * at * np.eye(len(A)) - A, B))
+
+
+def test_a_residual_makes_a_casing_of_few_modes_as_flexible_as_a_whole_one() -> None:
+    """Exactly at rest; beyond, in error by (w / w_res)^2 of the residual where w_res is that of the first left out."""
+    w, shapes, flexibility = chain()
+    first = w[3]
+    static = flexibility[np.ix_(STATIONS, STATIONS)]
+    few = receptance(of_chain(3, residual=True), True, 1e-3)
+    np.testing.assert_allclose(few.real, static, rtol=1e-9)
+    errors = []
+    for at in (first / 10, first / 5):
+        truth = shapes[STATIONS] / (w**2 - at**2) @ shapes[STATIONS].T
+        with_it, without = (
+            np.abs(receptance(of_chain(3, residual), residual, at) - truth).max() / np.abs(truth).max()
+            for residual in (True, False)
+        )
+        errors.append(with_it)
+        assert with_it < without / 20
+    assert errors[1] < 2e-3
+    assert errors[1] / errors[0] > 3.0
+
+
+def test_a_residual_of_one_mode_is_that_mode() -> None:
+    at = 0.8 * chain()[0][9]
+    whole, few = (of_chain(count, residual, 0.02) for count, residual in ((10, False), (9, True)))
+    np.testing.assert_allclose(receptance(few, True, at), receptance(whole, False, at), rtol=1e-8)
+
+
+def test_a_residual_that_no_casing_has_is_refused() -> None:
+    given = {"residual": True, "natural_frequency": [100.0], "modal_mass": 5.0}
+    given |= {"mode_shape_x": [[1.0]], "mode_shape_y": [[1.0]]}
+    for more, said in (
+        ({}, "option residual needs residual_frequency above 0"),
+        ({"residual_frequency": 900.0, "residual_flexibility_x": [[-1e-9]]}, "must have no negative eigenvalue"),
+    ):
+        with pytest.raises(RotorsimError, match=said):
+            load(swapped(**given, **more))
+    assert load(swapped(**given, residual_frequency=900.0, residual_flexibility_x=[[1e-9]]))

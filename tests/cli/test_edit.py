@@ -307,3 +307,9 @@ def test_blocks_of_the_folders_of_a_diagram(run) -> None:
     assert "  my_block " in run("blocks", "--trust-blocks", "--diagram", "mine.json").stdout
     done = run("blocks", "--trust-blocks", "--diagram", "other.json")
     assert (done.exit_code, done.stderr.partition(" error: ")[0]) == (2, "other.json:1:2:")
+
+
+def test_swap_sets_an_entry_of_a_parameter(run) -> None:
+    done = run("swap", "fe_flexible", "support_left", "support", "--set", "stiffness[2]=7 N/um", "--json")
+    written = json.loads(done.stdout)["diagram"]["blocks"]["support_left"]["parameters"]["stiffness"]
+    assert written == [495.82e6, "7 N/um"]

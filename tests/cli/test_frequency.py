@@ -12,10 +12,7 @@ from tests.cli.conftest import Run
 
 UNBALANCE = ["frequency", "jeffcott", "--from", "unbalance.force", "--to", "rotor.displacement"]
 
-ENTRY = (
-    "amb.force[1]: is an entry; a test signal enters at a whole port\n\n"
-    "hint: name 'amb.force': the results tell each of its entries\n"
-)
+ENTRY = "amb.force[3]: no such entry; 'amb.force' has shape 2, counted from 1\n\nhint: name 'amb.force' for all\n"
 
 
 def test_what_is_printed(run: Run) -> None:
@@ -68,9 +65,9 @@ def test_a_rate_that_passes_by_the_test_signal_is_said(run: Run) -> None:
 
 
 @pytest.mark.parametrize("verb", [("step", "--to", "rotor.displacement", "--from"), ("margins", "--at")])
-def test_an_entry_is_refused_where_a_test_signal_enters(run: Run, verb: tuple[str, ...]) -> None:
+def test_an_entry_that_is_not_there_is_refused_where_a_test_signal_enters(run: Run, verb: tuple[str, ...]) -> None:
     """FAULT of an earlier version: "did you mean 'force'?" of 'amb.force[1]'."""
-    found = run(verb[0], "jeffcott", *verb[1:], "amb.force[1]")
+    found = run(verb[0], "jeffcott", *verb[1:], "amb.force[3]")
     assert (found.exit_code, found.stderr) == (2, f"error: {ENTRY}")
 
 
@@ -87,8 +84,8 @@ def test_an_entry_is_refused_where_a_test_signal_enters(run: Run, verb: tuple[st
             "unbalance: is a block, not a port\n\nhint: its ports: unbalance.theta, unbalance.speed, "
             "unbalance.acceleration, unbalance.force\n",
         ),
-        (["--from", "amb.force[1]"], ENTRY),
-        (["--from", "amb.force[1]", "--open"], ENTRY),
+        (["--from", "amb.force[3]"], ENTRY),
+        (["--from", "amb.force[3]", "--open"], ENTRY),
     ],
 )
 def test_what_is_refused(run: Run, more: list[str], text: str) -> None:

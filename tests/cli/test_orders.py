@@ -225,3 +225,27 @@ def test_names_that_a_csv_cannot_hold_are_written_plainly_and_read_back(run: Run
     again = load_orders(tmp_path / "odd")
     for name, values in vectors.items():
         assert again.runs[0].vectors[name] == pytest.approx(values, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--filter", "60 %"), "--filter 60 %: orders are one apart\n\nhint: at most 50 %\n"),
+        (("--filter", "x"), "--filter x: not a width\n\nhint: for example --filter '10 %' or '2 Hz'\n"),
+        (("--line", "50 Hz"), "--line needs --filter\n\nhint: for example --filter '10 %'\n"),
+        (("--filter", "10 %", "--turns", "2"), "--turns: the filter has its own width, and rows of one turn\n"),
+        (("--filter", "10 %"), "machine: --filter needs samples: these are order vectors\n"),
+    ],
+)
+def test_filters_that_are_refused(run: Run, table: Path, arguments: tuple[str, ...], said: str) -> None:
+    found = run("orders", str(table), *arguments)
+    assert (found.exit_code, found.stderr) == (2, f"error: {said}")
+
+
+def test_a_filter_shows_vectors_and_tells_no_critical_speed(run: Run) -> None:
+    found = run("orders", "jeffcott_runup", *QUICK, "--order", "1", "--filter", "30 %")
+    assert found.exit_code == 0
+    assert "critical speeds are told without --filter" in found.stderr
+    assert "N_c" not in found.stdout
+    data = json.loads(run("orders", "jeffcott_runup", *QUICK, "--order", "1", "--filter", "30 %", "--json").stdout)
+    assert data["critical_speeds"] == []

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.errors import RotorsimError
+from rotorsim.linear.eigenmodes import modes
 from rotorsim.model.load import load
 from rotorsim.model.trace.order import block_traces
 from tests.diagram.helpers import block, diagram, mistakes, written
@@ -67,6 +68,68 @@ def test_settings_take_the_place_of_values_and_are_kept_in_the_document() -> Non
     assert loaded.document["solver"]["step"] == "50 us"
     assert loaded.sha256 != load("jeffcott").sha256
     assert json.loads(shipped_diagrams()["jeffcott"].read_text())["parameters"]["speed"] == "1500 rpm"
+
+
+def test_an_entry_that_is_set_leaves_the_others_as_the_diagram_has_them() -> None:
+    given = {"support_left.stiffness[2]": "7 N/um"}
+    loaded, before = load("fe_flexible", set=given), load("fe_flexible")
+    stiffness = before.nodes["support_left"].values["stiffness"]
+    assert loaded.nodes["support_left"].values["stiffness"].tolist() == [stiffness[0], 7e6]
+    drawn = load("drawn_rotor", set={"rotor.section_lengths[2]": "150 mm"})
+    lengths = load("drawn_rotor").nodes["rotor"].block.option.section_lengths
+    assert list(drawn.nodes["rotor"].block.option.section_lengths) == [lengths[0], 0.15, *lengths[2:]]
+    again = load(loaded.document, folder=loaded.folder)
+    assert again.nodes["support_left"].values["stiffness"].tolist() == [stiffness[0], 7e6]
+    one = modes(load("fe_flexible", set={"support_left.stiffness[2]": 7e6})).modes
+    other = modes(before, parameters={"support_left.stiffness[2]": 7e6}).modes
+    assert [mode.eigenvalue for mode in one] == pytest.approx([mode.eigenvalue for mode in other], rel=1e-12)
+
+
+def test_an_entry_of_a_diagram_parameter_has_the_shape_of_what_follows_it() -> None:
+    rotor = block("rotor_2dof", mass=1.0, stiffness=1.0)
+    document = diagram(
+        {"support": block("support", stiffness="$k", damping=[1.0, 1.0]), "rotor": rotor},
+        ("rotor.displacement", "support.displacement"),
+        ("rotor.velocity", "support.velocity"),
+        ("support.force", "rotor.force"),
+        parameters={"k": ["3 kN/m", "4 kN/m"]},
+    )
+    loaded = load(document, set={"k[1]": "5 kN/m"})
+    assert loaded.parameters["k"].tolist() == loaded.nodes["support"].values["stiffness"].tolist() == [5000.0, 4000.0]
+
+
+def test_entries_that_are_not_there_are_refused_all_at_once() -> None:
+    given = {
+        "support_left.stiffness[3]": 1.0,
+        "support_left.stiffness[x]": 1.0,
+        "controller.KP[1]": 1.0,
+        "controller.KX[1]": 1.0,
+        "support_left.damping[1]": [1.0, 2.0],
+    }
+    with pytest.raises(RotorsimError) as caught:
+        load("fe_flexible", set=given)
+    assert [(one.what, one.subject, one.hint) for one in caught.value.problems] == [
+        ("no such entry; the parameter is 2, counted from 1", "support_left.stiffness[3]", FIRST),
+        ("no such entry; the parameter is 2, counted from 1", "support_left.stiffness[x]", FIRST),
+        (
+            "no such entry; the parameter is a single number, counted from 1",
+            "controller.KP[1]",
+            "set it whole: controller.KP=...",
+        ),
+        (
+            "no such parameter",
+            "controller.KX[1]",
+            "did you mean 'controller.KP' or 'controller.KI' or 'controller.KD'?",
+        ),
+        (
+            "an entry is one value, not a list",
+            "support_left.damping[1]",
+            "the whole parameter: support_left.damping=[...]",
+        ),
+    ]
+
+
+FIRST = "support_left.stiffness[1] is the first"
 
 
 def test_one_parameter_may_be_followed_by_blocks_of_no_unit_and_of_a_unit() -> None:

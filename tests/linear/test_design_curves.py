@@ -34,7 +34,7 @@ def test_poles_over_a_gain_and_the_limit_of_stability() -> None:
         assert poles[np.isfinite(poles)] == pytest.approx(np.repeat(truth, 2), rel=1e-9)
     assert [one.value for one in found.limits] == pytest.approx([0.0], abs=1e-9)
     assert found.limits[0].frequency == pytest.approx(np.sqrt(K / M) / (2 * np.pi), rel=1e-6)
-    hz, ratio = found.least_damped()
+    hz, ratio, _ = found.least_damped()
     assert ratio == pytest.approx(40 * gains / (2 * np.sqrt(K * M)), rel=1e-9)
     assert hz == pytest.approx(np.sqrt(K / M - (40 * gains / (2 * M)) ** 2) / (2 * np.pi), rel=1e-9)
     assert found.stable.tolist() == (gains > 0).tolist()

@@ -9,10 +9,10 @@ import pytest
 from scipy.optimize import brentq
 
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.linear_model import LinearModel
+from rotorsim.linear.linear_model import LinearModel, common_period
 from rotorsim.linear.loop import Loop, injections
 from rotorsim.linear.margins import margins, zone_of
-from rotorsim.linear.sampled_data import SampledData, common_period
+from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.stability import growing_multipliers
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.load import load
@@ -202,7 +202,7 @@ def test_sampled_blocks_beside_a_nonlinear_bearing_are_refused():
     document["blocks"]["controller"] = {"type": "discrete_pid"}
     document["blocks"]["amb"] = {"type": "amb_nonlinear"}
     assert refused(load(document)) == (
-        "error: rotor: with sampled blocks a loop must be linear, with constant coefficients\n\n"
+        "error: rotor: with sampled blocks a diagram must be linear, with constant coefficients\n\n"
         "hint: take the linear block ('amb' for 'amb_nonlinear'), or `rotorsim swap` a continuous controller in"
     )
 

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from rotorsim import RotorsimError, campbell, load, modes
+from rotorsim import RotorsimError, campbell, load, modes, root_locus
 from rotorsim.linear.eigenmodes import Mode
 from tests.acceptance.machines import jeffcott
 from tests.systems.shipped import DIAGRAMS
@@ -79,4 +79,41 @@ def test_a_machine_that_is_not_linear_has_no_modes_with_a_sampled_controller() -
     nonlinear["blocks"]["amb_a"] = {"type": "amb_nonlinear"}
     with pytest.raises(RotorsimError) as caught:
         modes(load(nonlinear))
-    assert "with sampled blocks a loop must be linear, with constant coefficients" in str(caught.value)
+    assert "with sampled blocks a diagram must be linear, with constant coefficients" in str(caught.value)
+
+
+def test_the_root_locus_has_poles_above_half_of_the_sample_rate_where_they_are() -> None:
+    """Of gains of nearly nothing: a bent mode of 6.7 kHz that is sampled at 5 kHz."""
+    weak = {f"{name}.{gain}": 1e-6 for name in ("controller_a", "controller_b") for gain in ("KP", "KI", "KD")}
+    sampled, continuous = (
+        root_locus(load(one), "speed", [300.0, 400.0], parameters=weak) for one in (machine(2e-4, 2e-4), machine())
+    )
+    for own, truth, modulo in zip(sampled.poles, continuous.poles, sampled.modulo, strict=True):
+        bent = truth[
+            (truth.imag > 2 * np.pi * 3e3) & (truth.imag < 2 * np.pi * 9.5e3) & (-truth.real < 0.7 * truth.imag)
+        ]
+        nearest = np.abs(own[:, None] - bent).argmin(axis=0)
+        np.testing.assert_allclose(own[nearest], bent, rtol=1e-6)
+        assert np.isnan(modulo[nearest]).all()
+
+
+def test_poles_of_which_several_images_show_alike_say_modulo_what_their_frequency_is() -> None:
+    found = modes(load(machine(5e-4, 5e-4)), parameters=SPEED).modes
+    assert {mode.modulo and round(mode.modulo, 6) for mode in found} == {None, 2000.0}
+    slow = [mode for mode in found if mode.frequency_hz < 1500 and mode.damping_ratio < 0.2]
+    assert len(slow) == 12
+    assert all(mode.modulo is None for mode in slow)
+    locus = root_locus(load(machine(5e-4, 5e-4)), "speed", [300.0])
+    own = locus.poles[0][np.isfinite(locus.modulo[0])]
+    assert sorted(own.imag) == pytest.approx(sorted(mode.eigenvalue.imag for mode in found if mode.modulo))
+
+
+def test_the_limit_of_stability_is_told_at_the_frequency_that_grows() -> None:
+    """A mode of 1.6 kHz that a controller of 2 kHz drives: as a simulation shows it, not folded to 0.4 kHz."""
+    spring = {"rotor.stiffness": 2.0 * (2 * np.pi * 1600.0) ** 2}
+    slow = {"type": "discrete_pid", "parameters": {"KP": 12500.0, "KI": 0.0, "KD": 0.0, "sample_time": "0.5 ms"}}
+    machine = load(jeffcott(4e5, 1.0, slow))
+    found = root_locus(machine, "rotor.viscous_damping", [0.0, 10.0, 50.0], parameters=spring)
+    assert len(found.limits) == 1
+    assert found.limits[0].frequency == pytest.approx(1600.0, rel=1e-3)
+    assert np.isnan(found.limits[0].modulo)

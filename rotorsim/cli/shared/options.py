@@ -30,7 +30,7 @@ set_option = click.option(
     "settings",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Give a parameter another value: speed='3000 rpm' or controller.KP=14000; repeatable.",
+    help="Give a parameter another value: speed='3000 rpm', controller.KP=14000, controller.KD[2]=5; repeatable.",
 )
 without_option = click.option(
     "--without", multiple=True, metavar="BLOCK", help="Cut the wires of this block (no crack, no AMB, ...); repeatable."

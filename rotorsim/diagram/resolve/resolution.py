@@ -17,6 +17,7 @@ from rotorsim.diagram.parse.document import FlatDocument
 from rotorsim.diagram.parse.flatten import flatten_document
 from rotorsim.diagram.parse.source import MAX_DEPTH, Source, is_too_deep, read_document
 from rotorsim.diagram.resolve.drafts import Drafter
+from rotorsim.diagram.resolve.entries import entries_set, with_entries
 from rotorsim.diagram.resolve.fitting import Fitting
 from rotorsim.diagram.resolve.free import free_parameters, unknown_names
 from rotorsim.diagram.resolve.measured import measured_signals
@@ -81,6 +82,11 @@ def resolve(
     unfinished: takes what is only missing yet (wires, sizes), which is an error without it; these inputs read zero.
     Raises RotorsimError with every mistake found; warnings are in ``diagram.warnings``.
     """
+    if entries := entries_set(set):
+        rest = {name: value for name, value in (set or {}).items() if name not in entries}
+        more: dict[str, Any] = {"without": without, "trust_blocks": trust_blocks, "folder": folder}
+        without_entries = resolve(source, set=rest, unfinished=None if unfinished is None else [], **more)
+        return resolve(source, set={**rest, **with_entries(without_entries, entries)}, unfinished=unfinished, **more)
     document, root, said = _source(source, folder)
     settings = _Settings.of({} if set is None else set)
     flat = flatten_document(document, root, settings.parameters, settings.blocks)

@@ -21,7 +21,7 @@ def root_locus_figure(found: RootLocus, title: str = "") -> Figure:
     """Return the poles over a parameter, its value in colour: real part, and frequency; those that grow stand right.
 
     Crosses are the first value, squares the last; lines are damping ratios. Poles to 2 kHz that force may bring to
-    resonance, and those that grow.
+    resonance, and those that grow. Hollow: with samplers, poles whose frequency may as well be that of another image.
     """
     made = figure(7.5, 5.4, title or str(found.provenance.get("diagram", "")))
     axes = made.add_subplot()
@@ -29,7 +29,23 @@ def root_locus_figure(found: RootLocus, title: str = "") -> Figure:
     with np.errstate(invalid="ignore"):
         shown = (found.resonant | (found.poles.real > 0)) & (hz <= HIGHEST_SHOWN)
     colour = np.broadcast_to(found.values[:, None], found.poles.shape)
-    dots = axes.scatter(found.poles.real[shown], hz[shown], c=colour[shown], s=9, cmap="viridis", lw=0)
+    folded = np.isfinite(found.modulo)
+    sure, unsure = shown & ~folded, shown & folded
+    low, high = float(found.values.min()), float(found.values.max())
+    dots = axes.scatter(
+        found.poles.real[sure], hz[sure], c=colour[sure], s=9, cmap="viridis", lw=0, vmin=low, vmax=high
+    )
+    if unsure.any():
+        name = f"frequency modulo {np.nanmax(found.modulo):.6g} Hz"
+        axes.scatter(
+            found.poles.real[unsure],
+            hz[unsure],
+            s=14,
+            facecolors="none",
+            edgecolors=dots.to_rgba(colour[unsure]).tolist(),
+            lw=0.7,
+            label=name,
+        )
     for row, marker, name in ((0, "x", "first value"), (-1, "s", "last value")):
         own = shown[row]
         axes.plot(found.poles.real[row, own], hz[row, own], marker, mec=INK, mfc="none", ms=5, ls="", label=name)
@@ -46,5 +62,5 @@ def root_locus_figure(found: RootLocus, title: str = "") -> Figure:
     axes.set(xlabel="real part [1/s]", ylabel="frequency [Hz]", xlim=(low, max(high, -0.03 * low)), ylim=(0.0, top))
     unit = "" if found.unit == "1" else f" [{found.unit}]"
     made.colorbar(dots, ax=axes, label=f"{found.parameter}{unit}")
-    axes.legend(loc="upper left")
+    axes.legend(loc="best")
     return made

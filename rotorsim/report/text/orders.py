@@ -25,6 +25,9 @@ Operating = tuple[float, float]  # lowest and highest speed [rad/s]
 def run_text(run: OrderRun) -> str:
     """Return what a run is, in one line."""
     first, last = rpm(run.speed[0]), rpm(run.speed[-1])
+    if run.noise is not None:
+        given = "".join(f", {name}={value}" for name, value in run.settings.items())
+        return f"{run.id}: {counted(len(run.speed), 'run')} at constant speeds, {first:.5g} to {last:.5g} rpm{given}"
     what = "run-up" if last > first else "coast-down"
     if wanders(run):
         what, first, last = "speed rises and falls", rpm(run.speed.min()), rpm(run.speed.max())
@@ -130,6 +133,7 @@ def orders_data(
     runs = {
         run.id: {
             "turns": run.turns,
+            "constant_speed": run.noise is not None,
             "time": None if run.time is None else run.time.tolist(),
             "speed": run.speed.tolist(),
             "vectors": {

@@ -69,7 +69,7 @@ class PassedRun:
         names = [name for name, one in channels.items() if one.order == order and name in run.vectors]
         noise, floors = {}, {}
         for name in names:
-            found = row_noise([run.vectors[name]])
+            found = row_noise([run.vectors[name]]) if run.noise is None else run.noise[name]
             if found is not None:
                 beside = [
                     run.vectors[k]
@@ -82,6 +82,12 @@ class PassedRun:
         if not noise:
             what, hint = "too many rows are missing to tell noise from motion", "seven rows one after another"
             raise RotorsimError(Problem(what, f"run {run.id}, {order}X", run.place, hint), exit_code=1)
+        scale = np.sqrt([*noise.values()])
+        vectors = np.stack([run.vectors[name] for name in noise], axis=1) / scale
+        least = float(np.mean([floors[name] / noise[name] for name in noise]))
+        if run.noise is not None:
+            none = np.zeros(0)
+            return cls([*noise], vectors, scale, least, none, none, none, none, none, run.speed, order, is_slow=True)
         rows = row_times(run)
         turned = float(rows.angle(rows.end) - rows.angle(rows.begin))
         steps = int(turned / (2 * pi) * STEPS_OF_TURN)
@@ -90,12 +96,11 @@ class PassedRun:
         if not (np.diff(angle) > 0).all():
             hint = "is the time in s, the speed in rpm?"
             raise RotorsimError(Problem("times and speeds contradict each other", f"run {run.id}", run.place, hint))
-        scale = np.sqrt([*noise.values()])
         return cls(
             [*noise],
-            np.stack([run.vectors[name] for name in noise], axis=1) / scale,
+            vectors,
             scale,
-            float(np.mean([floors[name] / noise[name] for name in noise])),
+            least,
             time,
             np.asarray(rows.speed((time[1:] + time[:-1]) / 2)),
             np.diff(np.asarray(rows.speed(time))) / np.diff(time),
