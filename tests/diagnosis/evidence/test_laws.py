@@ -66,8 +66,8 @@ def test_a_law_with_states_adds_what_its_frequency_response_says():
 
 
 def test_states_that_are_nearly_linear_settle_as_an_integration_does():
-    """Torsion, driven through the unbalance by its own angle: 5 s by DOP853, of which 2 % of critical leaves e^-50."""
-    law, one = alone("torsion_coupling/1@rotor.force[3]")
+    """Torsion, driven through the unbalance by its own angle: 0.3 s, of which a fifth of critical leaves e^-30."""
+    law, one = alone("torsion_coupling/1@rotor.force[3]", {"damping_ratio": 0.2})
     eta = np.array([2e-4, 0.3, 500.0, 1e-3, 0.4])
     moved = np.stack([2e-5 * np.cos(ANGLE + k) for k in (0.0, 1.5)], axis=2)
     rate = np.stack([-SPEEDS[:, None] * 2e-5 * np.sin(ANGLE + k) for k in (0.0, 1.5)], axis=2)
@@ -85,18 +85,18 @@ def test_states_that_are_nearly_linear_settle_as_an_integration_does():
         def rates(t: float, x: np.ndarray, W: float = W) -> np.ndarray:
             return law._rates(np.array([[t]]), x[:, None], driven(t, W), p)[0, :, 0]
 
-        end = 2 * np.pi / W * round(5 * W / 2 / np.pi)
+        end = 2 * np.pi / W * round(0.3 * W / 2 / np.pi)
         times = end + TIMES[r]
-        x = solve_ivp(rates, (0, times[-1]), np.zeros(6), "DOP853", times, rtol=1e-9, atol=1e-14).y
+        x = solve_ivp(rates, (0, times[-1]), np.zeros(6), "LSODA", times, rtol=1e-9, atol=1e-14).y
         values = [law._outputs(np.array([[t]]), x[:, k : k + 1], driven(t, W), p)[0, :, 0] for k, t in enumerate(times)]
         expected = np.fft.rfft(values, axis=0)[: K + 1] / N
         np.testing.assert_allclose(found[r, :, :, 0], expected, atol=1e-4 * np.abs(expected).max())
 
 
 def test_derivatives_by_parameters_are_those_of_differences():
-    """Central ones of 1 %, which err by some 1e-4."""
+    """Central ones of 0.1 %, away from resonance, which err by some 1e-6, as motion does that has settled."""
     law, _ = alone("torsion_coupling/1@rotor.force[3]")
-    eta, step = np.array([2e-4, 0.3, 500.0, 1e-3, 0.4]), 1e-2
+    eta, step = np.array([2e-4, 0.3, 430.0, 1e-3, 0.4]), 1e-3
     signals = np.stack([np.cos(ANGLE + k) * 1e-5 for k in range(4)] + [ANGLE, SPEEDS[:, None] + 0 * ANGLE], axis=2)
     found = law.added(eta, TIMES, signals, SPEEDS, K)
     for j in range(len(eta)):
@@ -155,7 +155,6 @@ def test_what_only_adds_is_placed_and_what_changes_more_is_not():
 
 LAWS = (
     "residual_bow/0",
-    "unbalance_elsewhere/0",
     "anisotropic_support/0",
     "second_crack/0",
     "parallel_misalignment/2",
@@ -171,7 +170,7 @@ def test_laws_promise_what_their_fits_leave(hidden):
     source, base, _ = concealing(hidden)
     every = items(source, base)
     chosen = [every[f"{law}@{spot}"] for law in LAWS for spot in spots(law) if f"{law}@{spot}" in every]
-    assert len(chosen) > 2 * len(LAWS)
+    assert len(chosen) == 2 * len(LAWS)
     promised = LawsBeside(source, base).promises(chosen)
     for item, one in zip(chosen, promised, strict=True):
         assert one is not None
@@ -186,7 +185,7 @@ def test_laws_promise_what_their_fits_leave(hidden):
 
 def spots(law: str) -> list[str]:
     port = "displacement" if law.startswith(("sensor", "runout")) else "force"
-    return [f"rotor.{port}[{node}]" for node in (2, 4, 5)]
+    return [f"rotor.{port}[{node}]" for node in (2, 4)]
 
 
 def test_nothing_is_promised_where_nothing_is_hidden():
