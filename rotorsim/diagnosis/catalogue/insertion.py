@@ -17,6 +17,7 @@ LONGEST = "longest run"  # among the largest magnitudes of signals: how long it 
 SAMPLED = "step between samples"  # among the largest magnitudes of signals: the longest [s]
 DOMINANT = "dominant frequency"  # among the largest magnitudes of signals: of the line that stands out most [rad/s]
 ONSETS = ("first onset", "second onset", "third onset")  # among the largest magnitudes of signals: see `Onset` [s]
+LAW_ALONE = "law"  # the block of a law alone
 LINES = "lines"  # among the largest magnitudes of signals: the frequency of asynchronous lines
 
 
@@ -177,6 +178,31 @@ class Insertion:
         free = {f"{self.name}.{key}": given for key, given in bounds.items()}
         new["identify"] |= free
         return new
+
+    def alone(
+        self,
+        parameters: Mapping[str, Any],
+        limits: Mapping[str, tuple[float, float]],
+        driving: Mapping[str, tuple[str, tuple[int, ...]]],
+        output: str,
+    ) -> dict[str, Any]:
+        """Return the document of a diagram of the block alone, `LAW_ALONE`, driven by recorded signals.
+
+        driving: of each signal, the input and its shape. output: that is recorded. limits: see `document`.
+        """
+        blocks = {
+            name: {"type": "recorded", "parameters": {"value": np.zeros(shape).tolist()}}
+            for name, (_, shape) in driving.items()
+        }
+        bounds = {key: dict(zip(("low", "high"), limits.get(key, ()), strict=False)) for key in self.fault.free}
+        return {
+            "schema_version": 1,
+            "name": self.physics,
+            "blocks": {**blocks, LAW_ALONE: {"type": self.kind.type_name, "parameters": dict(parameters)}},
+            "wires": [[f"{name}.output", f"{LAW_ALONE}.{port}"] for name, (port, _) in driving.items()],
+            "record": [f"{LAW_ALONE}.{output}"],
+            "identify": {f"{LAW_ALONE}.{key}": limit for key, limit in bounds.items()},
+        }
 
 
 def _plain(end: str) -> str:

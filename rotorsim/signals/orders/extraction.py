@@ -37,6 +37,17 @@ class Positions:
     mean: dict[str, np.ndarray]
 
 
+def order_channels(recording: Recording, orders: Sequence[int]) -> tuple[dict[str, Channel], dict[str, OrderChannel]]:
+    """Return the channels of a recording that are no angle, and those of their order vectors, both by name."""
+    measured = {column: one for column, one in recording.channels.items() if one.signal not in (ANGLE, TACHO)}
+    vectors = {
+        f"{column} {order}X": OrderChannel(**{**vars(channel), "coupling": "dc"}, order=order)
+        for column, channel in measured.items()
+        for order in orders
+    }
+    return measured, vectors
+
+
 def tracked_recording(
     recording: Recording, orders: Sequence[int], turns: int = 1, runs: Sequence[Run] | None = None
 ) -> tuple[OrderRecording, list[Positions]]:
@@ -51,12 +62,7 @@ def tracked_recording(
     Source: A. Brandt, Noise and Vibration Analysis (2011), ch. 12 (order tracking).
     """
     orders = sorted({1, *orders})
-    measured = {column: one for column, one in recording.channels.items() if one.signal not in (ANGLE, TACHO)}
-    channels = {
-        f"{column} {order}X": OrderChannel(**{**vars(channel), "coupling": "dc"}, order=order)
-        for column, channel in measured.items()
-        for order in orders
-    }
+    measured, channels = order_channels(recording, orders)
     found: list[OrderRun] = []
     positions: list[Positions] = []
     problems: list[Problem] = []

@@ -11,9 +11,9 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
-from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
-from rotorsim.signals.orders.extraction import Positions
+from rotorsim.recordings.orders import OrderRecording, OrderRun
+from rotorsim.recordings.recording import Recording, Run
+from rotorsim.signals.orders.extraction import Positions, order_channels
 from rotorsim.signals.orders.vold_kalman import NARROWEST, vold_kalman
 from rotorsim.signals.turning import is_run_up, turning
 
@@ -49,16 +49,11 @@ def filtered_recording(
     as `vold_kalman`.
     """
     orders = sorted({1, *orders})
-    measured = {column: one for column, one in recording.channels.items() if one.signal not in (ANGLE, TACHO)}
+    measured, channels = order_channels(recording, orders)
     chosen = [run for run in recording.runs if is_run_up(recording, run)] if runs is None else list(runs)
     if not chosen:
         hint = "rotorsim spectrum shows harmonics of runs at one speed"
         raise RotorsimError(Problem("no run changes its speed", recording.name, hint=hint), exit_code=1)
-    channels = {
-        f"{column} {order}X": OrderChannel(**{**vars(channel), "coupling": "dc"}, order=order)
-        for column, channel in measured.items()
-        for order in orders
-    }
     found = [_filtered(recording, run, [*measured], orders, passband, lines) for run in chosen]
     named = recording.name, recording.source, recording.folder, channels
     warnings = tuple(one for *_, said in found for one in said)

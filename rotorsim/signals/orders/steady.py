@@ -8,9 +8,9 @@ import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
-from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run
+from rotorsim.recordings.recording import Recording, Run
 from rotorsim.signals.harmonics import RunHarmonics, harmonics_of
-from rotorsim.signals.orders.extraction import Positions
+from rotorsim.signals.orders.extraction import Positions, order_channels
 from rotorsim.signals.turning import NO_ANGLE
 
 LEAST_SPEEDS = 8  # a mode has four unknowns, what lies far from it six
@@ -26,12 +26,7 @@ def steady_recording(
     Raises RotorsimError for run-ups, runs of which nothing tells the angle, and fewer than 8 speeds of a setting.
     """
     orders = sorted({1, *orders})
-    measured = {column: one for column, one in recording.channels.items() if one.signal not in (ANGLE, TACHO)}
-    channels = {
-        f"{column} {order}X": OrderChannel(**{**vars(channel), "coupling": "dc"}, order=order)
-        for column, channel in measured.items()
-        for order in orders
-    }
+    measured, channels = order_channels(recording, orders)
     fitted = harmonics_of(recording, runs, orders=max(orders) if max(orders) > 16 else None)
     blind = [one.run for one in fitted if not one.angle.phase_known]
     if blind:

@@ -8,13 +8,18 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
+from rotorsim.diagnosis.evidence.fit import is_adequate
+from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
 from rotorsim.diagnosis.evidence.harmonic.laws import LawsBeside, _Beside
 from rotorsim.diagnosis.evidence.harmonic.periodic_law import PeriodicLaw
 from rotorsim.diagnosis.evidence.harmonic.placed_law import PlacedLaw
-from rotorsim.diagnosis.search.promises import NEAR_PROMISE
+from rotorsim.diagnosis.search.promises import NEAR_PROMISE, is_beyond, noticed_from
 from rotorsim.fault import Fault
-from tests.diagnosis.test_places import concealing, fitted, healthy, items
-from tests.identification import shipped
+from rotorsim.signals.harmonics import harmonics_of
+from tests.diagnosis.test_places import ORDERS, concealing, fitted, healthy, items
+from tests.diagnosis.test_places import SPEEDS as SPEEDS_OF_RUNS
+from tests.identification import OTHER_GAINS, made, recorded, shipped
+from tests.reference.recordings import THESIS_GAINS
 
 BOW, GAIN = "residual_bow/0@rotor.force[4]", "sensor_gain/0@rotor.displacement[2]"
 SPEEDS = np.array([100.0, 250.0])
@@ -181,6 +186,41 @@ def test_laws_promise_what_their_fits_leave(hidden):
         if item.key == hidden:
             assert told == pytest.approx(drop, rel=0.01)
             assert one.misfit < 1.1 * base.rows < 0.2 * one.without
+
+
+def test_a_law_is_no_less_a_rival_where_the_diagram_has_gone_far():
+    """FAULT: parameters of the diagram had taken up what they could of a strong bow; that it leaves noise was not told.
+
+    Linear theory is off by 0.02 % of what the bow explains, which is more than a hundred times the noise.
+    """
+    source, base, _ = concealing(BOW, 30.0)
+    item = items(source, base)[BOW]
+    [one] = LawsBeside(source, base).promises([item])
+    fit = fitted(source, base, item)
+    assert one is not None
+    assert is_adequate(fit)
+    assert one.misfit > 100 * fit.misfit
+    assert one.without - one.misfit == pytest.approx(base.misfit - fit.misfit, rel=0.001)
+    assert not is_beyond(one, base, [fit], noticed_from(len(item.free), 1e-4))
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_shaft_that_turns_the_other_way_round_promises_as_well(sense):
+    """To a tenth of what fits explain, or of what noise makes of one parameter: laws of angle, motion and its rate."""
+    gains = (THESIS_GAINS, OTHER_GAINS)
+    runs = [
+        run for gain in gains for run in made("fe_rigid", [sense * W for W in SPEEDS_OF_RUNS], gains=gain, level=1e-3)
+    ]
+    data = recorded(runs)
+    source = HarmonicEvidence(data, tuple(harmonics_of(data, orders=ORDERS)))
+    base = source.fit(shipped("fe_rigid").document, [])
+    every = items(source, base)
+    laws = ("residual_bow/0", "asymmetric_shaft/0", "mass_error/0", "hysteretic_damping/0", "seal_cross_coupling/0")
+    chosen = [every[f"{law}@rotor.force[4]"] for law in laws] + [every["moment_unbalance/0@rotor.moment[4]"]]
+    for item, one in zip(chosen, LawsBeside(source, base).promises(chosen), strict=True):
+        assert one is not None, item.key
+        drop = base.misfit - fitted(source, base, item).misfit
+        assert one.without - one.misfit == pytest.approx(drop, rel=0.1, abs=0.1), item.key
 
 
 def spots(law: str) -> list[str]:

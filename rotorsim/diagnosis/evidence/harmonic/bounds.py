@@ -15,6 +15,7 @@ from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit
+from rotorsim.diagnosis.evidence.harmonic.projection import basis_of, with_delay
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.likelihood import Likelihood
@@ -76,9 +77,7 @@ class LowerBounds:
         """Return of each run misfit and equations with free harmonics of some inputs, or of what some channels read."""
         likelihood, orders = self.likelihood, self.likelihood.orders
         rests, jacobians, counts = [], [], []
-        residual, jacobian = self.found.apart()
-        if self.found.late is not None:  # with the delay of the pulses as one more parameter, known to one
-            jacobian = np.column_stack([jacobian, self.found.late])
+        residual, jacobian = with_delay(self.found)
         at = 0
         for r, white in enumerate(likelihood.whiteners):
             size = len(white.keep)
@@ -93,19 +92,12 @@ class LowerBounds:
                     for phase in (1.0, 1j) if k else (1.0,):
                         columns[row, k] = effects[k, :, v] * phase
                         row += 1
-            whitened = np.hstack([self.others[r], white.apply(real_vector(columns).T)])
-            length = np.linalg.norm(whitened, axis=0)
-            q, _ = np.linalg.qr(whitened[:, length > 0] / length[length > 0])
+            q = basis_of(np.hstack([self.others[r], white.apply(real_vector(columns).T)]))
             rests.append(e - q @ (q.T @ e))
             jacobians.append(J - q @ (q.T @ J))
             counts.append(size - q.shape[1])
-        rest, J = np.concatenate(rests), np.concatenate(jacobians)
-        if self.found.late is not None:
-            prior = np.zeros((1, J.shape[1]))
-            prior[0, -1] = 1.0
-            rest, J = np.append(rest, 0.0), np.vstack([J, prior])
-        length = np.linalg.norm(J, axis=0)
-        q, _ = np.linalg.qr(J[:, length > 0] / length[length > 0])
+        rest, J = (np.concatenate([*parts, whole[at:]]) for parts, whole in ((rests, residual), (jacobians, jacobian)))
+        q = basis_of(J)
         rest = rest - q @ (q.T @ rest)
         ends = np.cumsum([len(part) for part in rests])[:-1]
         share = q.shape[1] / len(rests)

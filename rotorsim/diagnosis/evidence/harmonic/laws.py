@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import (
+    LAW_ALONE,
     STARTS_TRIED,
     Insertion,
     fixed_of,
@@ -34,7 +35,8 @@ from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit, is_adequate
 from rotorsim.diagnosis.evidence.harmonic.fitting import START_ANGLES
 from rotorsim.diagnosis.evidence.harmonic.periodic_law import PeriodicLaw
-from rotorsim.diagnosis.evidence.harmonic.placed_law import LAW_ALONE, PlacedLaw, entries_of, placed_law
+from rotorsim.diagnosis.evidence.harmonic.placed_law import PlacedLaw, entries_of, placed_law
+from rotorsim.diagnosis.evidence.harmonic.projection import basis_of, lengths_of, with_delay
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.likelihood import Likelihood
@@ -88,14 +90,9 @@ class _Beside:
         self.inputs = {name: k for k, name in enumerate(name for port in ports for name in entries_of(diagram, port))}
         evaluation, prediction = self.likelihood.evaluate(self.theta), self.motion.predict(self.theta)
         self.transfer = prediction.by_inputs()[:, : self.K + 1]
-        self.nuisances = [_basis(columns) for columns in self.likelihood.nuisances(prediction, evaluation.Y)]
-        self.residual, self.jacobian = evaluation.apart()
-        if evaluation.late is not None:  # the delay of the pulses as one more parameter, known to one
-            prior = np.zeros((1, self.jacobian.shape[1] + 1))
-            prior[0, -1] = 1.0
-            self.residual = np.append(self.residual, 0.0)
-            self.jacobian = np.vstack([np.column_stack([self.jacobian, evaluation.late]), prior])
-        self.parameters = _basis(self.jacobian)
+        self.nuisances = [basis_of(columns) for columns in self.likelihood.nuisances(prediction, evaluation.Y)]
+        self.residual, self.jacobian = with_delay(evaluation)
+        self.parameters = basis_of(self.jacobian)
         self.left = self.residual - self.parameters @ (self.parameters.T @ self.residual)
         speeds, count = self.motion.speeds, SAMPLES_PER_ORDER * (self.K + 1)
         start = -np.sign(speeds) * self.motion.phase / np.abs(speeds)  # where the shaft angle is zero
@@ -111,7 +108,7 @@ class _Beside:
 
     def promise(self, item: Insertion, largest: Mapping[str, float]) -> Promise | None:
         """Return what a law leaves by the step from its best start; None where that is not known."""
-        with suppress(np.linalg.LinAlgError):
+        with suppress(*FAILURES):
             return self._promise(item, largest)
         return None
 
@@ -242,13 +239,13 @@ class _Beside:
         unit = np.eye(c * orders).reshape(orders, c, -1)
         unit = np.concatenate([unit, 1j * unit[:, :, c:]], axis=2)  # a mean is real
         white = self.likelihood.white(real_columns(self._answers(one, np.broadcast_to(unit, (R, *unit.shape)))))
-        size = _size(white)  # as it is: of what nuisances or others take up, nothing is known
+        size = lengths_of(white)  # as it is: of what nuisances or others take up, nothing is known
         free = self._without_nuisances(white / size)
         n = free[0].shape[0]
         both = np.column_stack([self.jacobian, self.residual])
-        pairs = zip(np.split(both[: R * n], R), map(_basis, free), strict=True)
+        pairs = zip(np.split(both[: R * n], R), map(basis_of, free), strict=True)
         rest = [own - base @ (base.T @ own) for own, base in pairs]
-        together, scale = np.concatenate([*rest, both[R * n :]]), _size(self.jacobian)[0]
+        together, scale = np.concatenate([*rest, both[R * n :]]), lengths_of(self.jacobian)[0]
         theta = -np.linalg.lstsq(together[:, :-1] / scale, together[:, -1], rcond=LEFT_BESIDE)[0] / scale
         left = (self.residual + self.jacobian @ theta)[: R * n].reshape(R, n)
         moved = by_theta @ theta[: by_theta.shape[3]]
@@ -285,7 +282,7 @@ class _Step:
 
     def __init__(self, left: np.ndarray, columns: np.ndarray) -> None:
         self.added, slopes = columns[:, 0], columns[:, 1:]
-        size = _size(slopes)[0]
+        size = lengths_of(slopes)[0]
         U, s, V = np.linalg.svd(slopes / size, full_matrices=False)
         kept = s > INDEPENDENT * s.max(initial=0.0)
         self.base = U[:, kept]
@@ -302,15 +299,3 @@ class _Step:
         for _ in range(2):  # of a start far too large, the first leaves its rounding
             column = column - self.base @ (self.base.T @ column)
         return column
-
-
-def _size(columns: np.ndarray) -> np.ndarray:
-    """Return the lengths of columns (..., rows, k), one for those of zeros, (..., 1, k)."""
-    size = np.linalg.norm(columns, axis=-2, keepdims=True)
-    return np.where(size > 0, size, 1.0)
-
-
-def _basis(columns: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of columns (rows, k), those of zeros left out."""
-    used = columns[:, columns.any(axis=0)]
-    return np.asarray(np.linalg.qr(used / _size(used))[0])

@@ -17,6 +17,7 @@ from rotorsim.settled.balance import harmonics_of, samples_of
 
 MOST_SETTLINGS = 12  # of the motion of a law's own states, which are linear but for small terms
 SETTLED_STATE = 1e-6  # relative change of these states in an iteration, below which it was the last
+NO_STATE = 1e-9  # of the largest of them: a smaller one is rounding of the others
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +99,6 @@ def _settled(rates: Callable[[np.ndarray], np.ndarray], x: np.ndarray, A: np.nda
         waves = gain @ harmonics_of(rates(x) - A[:, None] @ x, N // 2)
         before, x = x, samples_of(waves.reshape(R, N // 2 + 1, -1), N).reshape(x.shape)
         change, size = (np.abs(part).max(axis=(0, 1)) for part in (x - before, x))
-        if (change <= SETTLED_STATE * size).all():
+        if (change <= SETTLED_STATE * np.maximum(size, NO_STATE * size.max(initial=0.0))).all():
             return x
     raise np.linalg.LinAlgError("its states do not settle")

@@ -12,8 +12,8 @@ from rotorsim.block import In, size_of
 from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.linear.linearisation import entry_names
+from rotorsim.linear.loop import part_of_port
 
-LAW_ALONE = "law"  # the block of a law alone
 ADDING = ("force", "shaft", "wire", "reading")  # the ways to enter by which a law adds to what is there
 
 
@@ -44,21 +44,8 @@ class PlacedLaw:
 
     def document(self, values: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
         """Return the document of a diagram of the law alone, driven by recorded signals; values: some parameters."""
-        item = self.item
-        bounds = {name: dict(zip(("low", "high"), limits.get(name, ()), strict=False)) for name in item.fault.free}
-        driving = {
-            port: {"type": "recorded", "parameters": {"value": np.zeros(shape).tolist()}}
-            for port, shape in self.shapes.items()
-        }
-        law = {"type": item.kind.type_name, "parameters": {**self.values, **values}}
-        return {
-            "schema_version": 1,
-            "name": item.physics,
-            "blocks": {**driving, LAW_ALONE: law},
-            "wires": [[f"{port}.output", f"{LAW_ALONE}.{port}"] for port in self.inputs],
-            "record": [f"{LAW_ALONE}.{self.outputs[0][0]}"],
-            "identify": {f"{LAW_ALONE}.{name}": limit for name, limit in bounds.items()},
-        }
+        driving = {port: (port, shape) for port, shape in self.shapes.items()}
+        return self.item.alone({**self.values, **values}, limits, driving, self.outputs[0][0])
 
 
 def placed_law(diagram: Diagram, item: Insertion) -> PlacedLaw | None:
@@ -88,7 +75,7 @@ def placed_law(diagram: Diagram, item: Insertion) -> PlacedLaw | None:
     outputs, moved, read, taken = [], [], [], []
     for port, (targets, channels) in ends.items():
         count = len((*targets, *channels)[0])
-        replaced = inputs[through[port]] if port in through else ("",) * count
+        replaced = inputs.get(through[port], ()) if port in through else ("",) * count
         if any(len(one) != count for one in (*targets, *channels, replaced)):
             return None
         for k in range(count):
@@ -128,10 +115,9 @@ def _in_place(diagram: Diagram, item: Insertion) -> PlacedLaw | None:
 
 def entries_of(diagram: Diagram, end: str) -> list[str]:
     """Return the flat names of the entries of a port, or of a part of it ("rotor.force[3]")."""
-    plain = end.replace(" ", "")
-    names = entry_names(plain.partition("[")[0], _port(diagram, plain).shape)
-    within = plain.removesuffix("]") + ","
-    return [name for name in names if not _depth(plain) or name == plain or name.startswith(within)]
+    base, places = part_of_port(diagram, end.replace(" ", ""))
+    names = entry_names(base, _port(diagram, base).shape)
+    return [names[k] for k in places]
 
 
 def _depth(end: str) -> int:

@@ -16,7 +16,7 @@ from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS
 from rotorsim.linear.kalman import Whitening
 from rotorsim.linear.sampled import LARGE
 
-WIRE, OTHER, LAW = "wire", "other", "law"
+WIRE, OTHER = "wire", "other"
 INDEPENDENT = 1e-9  # relative: singular values of what the diagram's parameters change that are none
 
 

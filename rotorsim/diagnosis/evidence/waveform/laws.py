@@ -24,6 +24,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from rotorsim.diagnosis.catalogue.insertion import (
     DOMINANT,
+    LAW_ALONE,
     ONSETS,
     STARTS_TRIED,
     Insertion,
@@ -39,7 +40,7 @@ from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import FAILURES
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.evidence.waveform.dominant_line import dominant_line, white
-from rotorsim.diagnosis.evidence.waveform.driven_law import LAW, OTHER, WIRE, DrivenLaw, View
+from rotorsim.diagnosis.evidence.waveform.driven_law import OTHER, WIRE, DrivenLaw, View
 from rotorsim.diagnosis.evidence.waveform.onset import onset_times
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import SampledRun
@@ -353,22 +354,12 @@ class LawBounds:
         parameters = {**item.values, **values}
         key = (item.kind, tuple(sorted((k, str(v)) for k, v in parameters.items())), tuple(sorted(limits.items())))
         if key not in self._laws:
-            bounds = {name: dict(zip(("low", "high"), limits.get(name, ()), strict=False)) for name in item.fault.free}
             [(taken, given)] = item.fault.through.items()
             inputs = {WIRE: taken, **({OTHER: item.fault.argument} if item.depends_on else {})}
-            recorded = {name: {"type": "recorded", "parameters": {"interpolation": "linear"}} for name in inputs}
-            diagram = self.load(
-                {
-                    "schema_version": 1,
-                    "name": item.physics,
-                    "blocks": {**recorded, LAW: {"type": item.kind.type_name, "parameters": parameters}},
-                    "wires": [[f"{name}.output", f"{LAW}.{port}"] for name, port in inputs.items()],
-                    "record": [f"{LAW}.{given}"],
-                    "identify": {f"{LAW}.{name}": limit for name, limit in bounds.items()},
-                }
-            )
+            driving = {name: (port, ()) for name, port in inputs.items()}
+            diagram = self.load(item.alone(parameters, limits, driving, given))
             names = [f"{name}.output" for name in inputs]
-            equations = driven_equations(diagram, [f"{LAW}.{given}"], names, diagram.free)
+            equations = driven_equations(diagram, [f"{LAW_ALONE}.{given}"], names, diagram.free)
             self._laws[key] = DrivenLaw(Simulation(equations), item.fault)
         return self._laws[key]
 
