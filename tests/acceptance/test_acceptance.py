@@ -396,6 +396,7 @@ def test_a_mode_that_no_plane_excites_is_judged_by_its_damping() -> None:
     assert float(by_damping[0].where.split("AF ")[1].split(",")[0]) == pytest.approx(1 / (2 * z), rel=0.02)
 
 
+@pytest.mark.slow
 def test_cross_couplings_act_together() -> None:
     """Q_0 / Q of two planes at once is less than of either alone, nearly 1 / (1 / r_1 + 1 / r_2)."""
     given = {"operating": (2000 * RPM, 2500 * RPM), "clearance": 0.2e-3}
@@ -409,6 +410,7 @@ def test_cross_couplings_act_together() -> None:
     assert both.verdict == "not met"
 
 
+@pytest.mark.slow
 def test_every_probe_needs_a_clearance_and_one_of_its_own_is_heard() -> None:
     given = {"operating": (2000 * RPM, 2500 * RPM)}
     found = accept(load("two_amb_rotor"), clearance={"rotor.displacement[3]": 0.2e-3}, **given)

@@ -55,6 +55,7 @@ def test_a_loop_that_is_not_stable(run: Run) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_recorded_sweep_beside_its_diagram(run: Run) -> None:
     assert run(*RECORD, *SHORT, "--noise", "1 %").exit_code == 0
     assert run("check", "jeffcott", "swept").stdout.splitlines()[1] == (

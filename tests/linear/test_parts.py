@@ -44,6 +44,7 @@ def modal(gain: float = 1.0) -> dict:
     return made
 
 
+@pytest.mark.slow
 def test_a_part_is_that_part_of_the_whole() -> None:
     for document in (two_ambs(), two_ambs(1e-4)):
         whole = frequency_response(load(document), "rotor.force", "rotor.displacement[3]", frequencies=HZ)

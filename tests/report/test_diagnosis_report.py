@@ -434,6 +434,7 @@ def test_a_diagnosis_is_drawn_over_speed():
     assert bowed().plot().get_suptitle() == "Main harmonics of rotor.displacement over speed, hold-out runs"
 
 
+@pytest.mark.slow
 def test_what_is_left_and_what_is_open_stand_in_the_report(tmp_path):
     left = {
         "share": 0.0057,

@@ -33,6 +33,7 @@ def at(mine: Path) -> Iterator[Served]:
         yield found
 
 
+@pytest.mark.slow
 def test_what_was_measured_stands_beside_the_diagram_driven_as_it_was(at: Served, mine: Path) -> None:
     recording = load_recording(mine.parent / "bench")
 
@@ -85,6 +86,7 @@ def test_harmonics_that_were_measured_stand_beside_the_settled_motion(at: Served
     talk(talking)
 
 
+@pytest.mark.slow
 def test_a_co_simulation_is_told_with_what_the_coupling_does(at: Served, mine: Path) -> None:
     mine.write_text(mine.read_text().replace('"stop": "5 s"', '"stop": "0.2 s"'))
 

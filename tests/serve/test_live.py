@@ -104,6 +104,7 @@ def test_names_with_markup_are_text(at: Served, mine: Path) -> None:
     talk(talking)
 
 
+@pytest.mark.slow
 def test_a_run_is_that_of_the_library(at: Served, mine: Path) -> None:
     async def talking() -> None:
         page = await opened(at)
@@ -155,6 +156,7 @@ def test_an_analysis_tells_what_is_done_and_is_stopped(at: Served) -> None:
     talk(talking)
 
 
+@pytest.mark.slow
 def test_a_run_is_stopped(at: Served, mine: Path) -> None:
     mine.write_text(mine.read_text().replace('"stop": "5 s"', '"stop": "100000 s", "record_every": 100000'))
 
@@ -284,6 +286,7 @@ def test_the_palette_has_every_type(at: Served) -> None:
     assert {one["type"] for one in json.loads(body)["types"]} == set(all_types())
 
 
+@pytest.mark.slow
 def test_recordings_below_the_folder_are_found_and_looked_into(at: Served, mine: Path, tmp_path_factory) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     (elsewhere / "recording.json").write_text("{}")
@@ -339,6 +342,7 @@ def test_files_of_the_folder_are_no_modules(at: Served, mine: Path) -> None:
     assert sorted(file.name for file in mine.parent.iterdir()) == ["bench", "click.py", "mine.json"]
 
 
+@pytest.mark.slow
 def test_what_is_looked_for_is_stopped_with_its_processes(at: Served, mine: Path) -> None:
     made = 'record mine.json --speeds "900 rpm:60 rpm:3000 rpm" --settle --noise "0.5 %" --out bench'
     with chdir(mine.parent):

@@ -70,6 +70,7 @@ def test_a_law_with_states_adds_what_its_frequency_response_says():
     np.testing.assert_allclose(found[..., 1], u * s / (w + s) ** 2, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_states_that_are_nearly_linear_settle_as_an_integration_does():
     """Torsion, driven through the unbalance by its own angle: 0.3 s, of which a fifth of critical leaves e^-30."""
     law, one = alone("torsion_coupling/1@rotor.force[3]", {"damping_ratio": 0.2})
@@ -169,6 +170,7 @@ LAWS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", [BOW, GAIN])
 def test_laws_promise_what_their_fits_leave(hidden):
     """What they explain is told to a factor of NEAR_PROMISE wherever they are, and to 1 % of the one that is hidden."""
@@ -228,6 +230,7 @@ def spots(law: str) -> list[str]:
     return [f"rotor.{port}[{node}]" for node in (2, 4)]
 
 
+@pytest.mark.slow
 def test_nothing_is_promised_where_nothing_is_hidden():
     """No law drops the misfit by more than noise does with probability 1e-6, of some 200 that are tried."""
     source, base = healthy()

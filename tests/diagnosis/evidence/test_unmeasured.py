@@ -266,6 +266,7 @@ def test_kurtosis_is_as_uncertain_as_lomnicki_says():
     assert signal_of([np.sin(np.arange(4000) / 10)]).kurtosis[0] == pytest.approx(-1.5, abs=0.01)
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_hidden():
     found = diagnosed(run(1, 1), run(1, 2), run(3, 3))
     assert found.verdict == "consistent"

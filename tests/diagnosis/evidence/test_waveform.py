@@ -97,6 +97,7 @@ def test_the_statement_gives_errors_in_the_units_of_the_signals():
     assert "stands for" not in text
 
 
+@pytest.mark.slow
 def test_what_is_written_has_the_keys_of_any_diagnosis():
     data = diagnosis_data(diagnosed(machines.CUBIC, machines.NOISE))
     assert KEYS[""] <= set(data)

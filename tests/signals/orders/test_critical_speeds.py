@@ -68,6 +68,7 @@ def test_planes_are_both_found_where_one_mode_alone_explains_next_to_nothing():
     assert [one.frequency for one in found.found] == pytest.approx([300.0, 330.0], rel=5e-4)
 
 
+@pytest.mark.slow
 def test_three_modes_that_are_passed_quickly_are_all_found():
     modes = [Mode(w, 0.03, E, -1j * E) for w in (200.0, 350.0, 550.0)]
     found, _ = _found(run_up(modes, 100.0, 700.0, 4.0, noise=3e-7))
@@ -110,6 +111,7 @@ def test_two_modes_far_apart_are_found_with_slow_roll_between():
     assert found.slow_roll["x 1X"] == pytest.approx(3e-6 + 1e-6j, abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hum", [0.0, 3e-7])
 def test_nothing_is_found_where_no_critical_speed_was_passed(hum):
     found, _ = _found(run_up([Mode(900.0, 0.03, E, -1j * E)], 60.0, 500.0, 5.0, noise=NOISE, hum=hum))
@@ -132,6 +134,7 @@ def test_hum_is_taken_out_and_makes_no_critical_speed_of_any_order(duration, hum
     assert [float(size) for size in said.groups()] == pytest.approx([hum, hum], rel=0.03)  # two digits are said
 
 
+@pytest.mark.slow
 def test_no_hum_is_seen_where_there_is_none():
     for seed in range(10):
         recording = run_up([FORWARD], 60.0, 500.0, 4.0, noise=2e-7, seed=seed)

@@ -28,6 +28,7 @@ def test_a_wide_filter_has_the_vectors_of_each_turn() -> None:
     assert np.abs(positions[0].mean["x"]).max() < 0.1 * size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("passband", [Passband(share=0.1), Passband(hertz=3.0)])
 def test_the_mains_that_the_shaft_overtakes_are_told_apart(passband: Passband) -> None:
     quiet, humming = (run_up(MACHINE, **SLOW, hum=hum) for hum in (0.0, 3e-5))
