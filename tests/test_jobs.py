@@ -299,6 +299,18 @@ def test_local_workers_are_kept_for_several_lists():
         assert kept.scheduler == "synchronous"
 
 
+@pytest.mark.slow
+def test_local_workers_import_modules_as_they_start_and_are_kept_within():
+    with local_workers(Jobs(2), "colorsys", "no.such.module") as kept:
+        assert run_jobs(is_imported, ["colorsys", "colorsys", "no"], jobs=kept) == [True, True, False]
+        with local_workers(kept) as again:
+            assert again is kept
+
+
+def is_imported(name: str) -> bool:
+    return name in sys.modules
+
+
 def interrupt(_: float) -> None:
     raise KeyboardInterrupt
 

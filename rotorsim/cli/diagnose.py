@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from rotorsim.diagnosis.conclude.result import Diagnosis
     from rotorsim.diagram.diagram import Diagram
 
+REPORT_MODULE = "rotorsim.report.diagnosis.report"
 EITHER = "--sensors rotor.displacement,controller.current asks what could be told, a RECORDING what is"
 
 
@@ -92,6 +93,7 @@ def command(
         return 0
     from rotorsim.diagnosis.diagnosis import diagnose
     from rotorsim.diagnosis.files import diagnosis_data, save_diagnosis
+    from rotorsim.jobs.jobs import Jobs, local_workers
     from rotorsim.recordings.orders import load_any
 
     check_folder("--out", out)
@@ -107,16 +109,15 @@ def command(
     held = None if hold_out is None else load_any(_existing("--hold-out", hold_out))
     if out:
         _make(out)
-    with progress_bar("diagnose", progress) as bar:
-        diagnosis = diagnose(
-            loaded, measured, hold_out=held, physics=kinds, workers=workers, scheduler=scheduler, progress=bar
-        )
-    show_problems(diagnosis.warnings)
-    if out:
-        from rotorsim.report.diagnosis.report import save_report
+    with local_workers(Jobs(workers, scheduler), diagnose.__module__, *([REPORT_MODULE] if out else [])) as jobs:
+        with progress_bar("diagnose", progress) as bar:
+            diagnosis = diagnose(loaded, measured, hold_out=held, physics=kinds, jobs=jobs, progress=bar)
+        show_problems(diagnosis.warnings)
+        if out:
+            from rotorsim.report.diagnosis.report import save_report
 
-        for file in (*save_diagnosis(diagnosis, out), *save_report(diagnosis, out)):
-            note(f"written: {file}")
+            for file in (*save_diagnosis(diagnosis, out), *save_report(diagnosis, out, jobs=jobs)):
+                note(f"written: {file}")
     show(as_json, lambda: diagnosis_data(diagnosis), lambda: _text(diagnosis))
     return 0 if diagnosis.verdict == "consistent" else 1
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 from rotorsim.criteria import CRITERIA
@@ -22,7 +22,7 @@ from rotorsim.diagnosis.evidence.open import Opened, open_evidence
 from rotorsim.diagnosis.search.selection import Selection, select_effects, without_effects
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.jobs.jobs import Jobs
+from rotorsim.jobs.jobs import Jobs, local_workers
 from rotorsim.jobs.threads import one_thread
 from rotorsim.measure.checks import check_signals
 from rotorsim.model.heard import listener, said
@@ -43,17 +43,32 @@ def diagnose(
     physics: Collection[str] | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
+    jobs: Jobs | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Diagnosis:
     """Return what a diagram lacks to explain a recording.
 
     The free parameters of the diagram are refitted; if noise does not explain the residual, every declared fault
     (`rotorsim.fault.Fault`) is tried at every place; physics: only these. hold_out: further runs that take part in no
-    fit. workers, scheduler, progress: see `rotorsim.jobs.jobs.run_jobs`.
+    fit. workers, scheduler, progress: see `rotorsim.jobs.jobs.run_jobs`. jobs: instead of scheduler and workers,
+    processes that are kept (`rotorsim.jobs.jobs.local_workers`).
     Raises RotorsimError for recordings with errors, and for those that do not fit the diagram.
     """
-    jobs = Jobs(workers, scheduler, progress)  # what is wrong with them is said before any work
+    how = Jobs(workers, scheduler, progress) if jobs is None else replace(jobs, progress=progress)
     warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out)), *parts_without_role(diagram)]
+    with local_workers(how, __name__) as kept:
+        return _diagnosed(diagram, recording, hold_out, physics, kept, warnings)
+
+
+def _diagnosed(
+    diagram: Diagram,
+    recording: Recording | OrderRecording,
+    hold_out: Recording | OrderRecording | None,
+    physics: Collection[str] | None,
+    jobs: Jobs,
+    warnings: Sequence[Problem],
+) -> Diagnosis:
+    """Return what a diagram lacks to explain a recording that can be read; see `diagnose`."""
     with one_thread():
         opened = open_evidence(diagram, recording, hold_out, Catalogue.of(diagram, physics), warnings)
     if opened.base.failure:

@@ -162,16 +162,17 @@ def _processes(jobs: Jobs) -> int:
 
 
 @contextmanager
-def local_workers(jobs: Jobs) -> Iterator[Jobs]:
+def local_workers(jobs: Jobs, *modules: str) -> Iterator[Jobs]:
     """Keep the worker processes of this machine for several calls of `run_jobs`; give the jobs to pass there.
 
-    With one worker, within a job, or with a scheduler there are none to keep.
+    With one worker, within a job, or with a scheduler there are none to keep; those that are kept already stay.
+    modules: what the processes import as they start, while this one goes on.
     """
     count = _processes(jobs)
-    if jobs.scheduler:
+    if jobs.scheduler or jobs.pool:
         yield jobs
     elif count == 1:
         yield replace(jobs, workers=None, scheduler="synchronous")
     else:
-        with Pool(count) as pool:
+        with Pool(count, modules) as pool:
             yield replace(jobs, workers=None, pool=pool)

@@ -12,6 +12,7 @@ import signal
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from multiprocessing import resource_tracker
 from threading import Thread
 from types import TracebackType
@@ -34,16 +35,17 @@ RETRIES = 2  # of a job whose process died
 
 
 class Pool:
-    """Worker processes, started by spawning; a context manager, which ends them.
+    """Worker processes, started by spawning; a context manager, which ends them. modules: what they import at once.
 
     Raises RotorsimError when they do not start.
     """
 
-    def __init__(self, workers: int) -> None:
+    def __init__(self, workers: int, modules: Sequence[str] = ()) -> None:
         self._workers: list[_Worker] = []
+        self._modules = tuple(modules)
         try:
             for _ in range(workers):
-                self._workers.append(_started())
+                self._workers.append(_started(self._modules))
         except RotorsimError:
             self._end(at_once=True)
             raise
@@ -82,7 +84,7 @@ class Pool:
             while tasks or any(worker.task for worker in self._workers):
                 for k, worker in enumerate(self._workers):
                     if worker.stopped and tasks:
-                        self._workers[k] = worker = _started()
+                        self._workers[k] = worker = _started(self._modules)
                     if worker.ready and not worker.task and tasks:
                         worker.give(tasks[0], pack(function, tasks[0]))
                         tasks.popleft()
@@ -119,12 +121,12 @@ class Pool:
 class _Worker:
     """One process. task: what it works on, empty while it waits; ready: whether it has said that it runs."""
 
-    def __init__(self) -> None:
+    def __init__(self, modules: tuple[str, ...]) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, there = context.Pipe()
         self.task: Task = ()
         self.ready = self.stopped = False
-        self.process = context.Process(target=_work, args=(there,), daemon=True)
+        self.process = context.Process(target=_work, args=(there, modules), daemon=True)
         try:
             self.process.start()
         except BaseException:
@@ -163,20 +165,26 @@ class _Worker:
             self.process.join()
 
 
-def _started() -> _Worker:
+def _started(modules: tuple[str, ...]) -> _Worker:
     """Return a new worker. Raises RotorsimError when its process does not start."""
     try:
         with _uninterrupted(), _environment():
-            return _Worker()
+            return _Worker(modules)
     except (RuntimeError, OSError) as error:
         raise _not_started(error) from None
 
 
-def _work(pipe: Any) -> None:
-    """Perform tasks until the other end of the pipe is closed, by whatever end of that process."""
+def _work(pipe: Any, modules: Sequence[str]) -> None:
+    """Perform tasks until the other end of the pipe is closed, by whatever end of that process.
+
+    modules: imported first; one that cannot be is said by the task that needs it.
+    """
     Thread(target=_end_with_parent, daemon=True).start()
     with suppress(EOFError, OSError):
         pipe.send_bytes(b"")
+        for name in modules:
+            with suppress(Exception):
+                import_module(name)
         while True:
             pipe.send_bytes(reply(pipe.recv_bytes()))
 

@@ -43,6 +43,30 @@ class Drawn(NamedTuple):
     caption: str
 
 
+class Picture(NamedTuple):
+    """A figure as pixels: a PNG file in base64."""
+
+    name: str
+    title: str
+    caption: str
+    pixels: str
+
+
+@styled()
+def picture_of(drawn: Drawn) -> Picture | None:
+    """Return a figure as pixels; None for none."""
+    if drawn.figure is None:
+        return None
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    buffer = io.BytesIO()
+    drawn.figure.set_dpi(DPI)
+    canvas = FigureCanvasAgg(drawn.figure)  # savefig draws twice, the same
+    canvas.print_png(buffer)  # type: ignore[no-untyped-call]
+    title = " ".join(str(drawn.figure.get_suptitle()).split())
+    return Picture(drawn.name, title, drawn.caption, base64.b64encode(buffer.getvalue()).decode("ascii"))
+
+
 @dataclass
 class Page:
     """A page that is being written into a folder, and the files beside it."""
@@ -55,24 +79,18 @@ class Page:
         write_atomically(self.folder / name, content)
         self.files.append(self.folder / name)
 
-    @styled()
     def figure(self, drawn: Drawn | None) -> str:
         """Write a figure as PNG and return it for the page, with its pixels inside; nothing for none."""
-        if drawn is None or drawn.figure is None:
-            return ""
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        return self.picture(None if drawn is None else picture_of(drawn))
 
-        buffer = io.BytesIO()
-        drawn.figure.set_dpi(DPI)
-        canvas = FigureCanvasAgg(drawn.figure)  # savefig draws twice, the same
-        canvas.print_png(buffer)  # type: ignore[no-untyped-call]
-        pixels = buffer.getvalue()
-        self.write(f"{drawn.name}.png", pixels)
-        title = " ".join(str(drawn.figure.get_suptitle()).split())
-        text = base64.b64encode(pixels).decode("ascii")
+    def picture(self, picture: Picture | None) -> str:
+        """Write a picture as PNG and return it for the page; nothing for none."""
+        if picture is None:
+            return ""
+        self.write(f"{picture.name}.png", base64.b64decode(picture.pixels))
         return (
-            f'<figure><img alt="{escape(title)}" src="data:image/png;base64,{text}">'
-            f"<figcaption>{escape(drawn.caption)}</figcaption></figure>"
+            f'<figure><img alt="{escape(picture.title)}" src="data:image/png;base64,{picture.pixels}">'
+            f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
         )
 
     @staticmethod

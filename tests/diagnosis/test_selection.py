@@ -148,15 +148,27 @@ def test_a_pair_of_which_one_hides_the_other_is_begun_anew_with_its_second():
     catalogue.
     """
     base = Fit({}, misfit=1e6, rows=ROWS, equations=ROWS)
-    imitation, stop, alone, other = (
+    imitation, rotation, stop, alone, other = (
         candidate(name, misfit, 1)
-        for name, misfit in (("cross_talk", 5e5), ("stop", 3e5), ("stop", 9e5), ("saturation", ROWS))
+        for name, misfit in (
+            ("cross_talk", 5e5),
+            ("sensor_rotation", 6e5),
+            ("stop", 3e5),
+            ("stop", 9e5),
+            ("saturation", ROWS),
+        )
     )
-    for item in (imitation, stop, alone, other):
+    for item in (imitation, rotation, stop, alone, other):
         item.fit = replace(item.fit, rows=ROWS, goodness=0.5 if item is other else 0.0)
-    rounds = {1e6: (imitation,), 5e5: (stop,), 9e5: (other,)}
+    rounds = {1e6: (imitation, rotation), 5e5: (stop,), 9e5: (other,)}
+    seen = []
+
+    def searched(before: Fit) -> Round:
+        seen.append(before.misfit)
+        return Round(before, rounds.get(before.misfit, ()))
+
     trials = SimpleNamespace(
-        round=lambda before: Round(before, rounds.get(before.misfit, ())),
+        round=searched,
         evidence=SimpleNamespace(refines_meshes=lambda document: False),
         counts={},
         nominal={},
@@ -165,6 +177,7 @@ def test_a_pair_of_which_one_hides_the_other_is_begun_anew_with_its_second():
         refitted=lambda base, effects, near: (alone,) if [*effects] == [stop] else (),
     )
     assert [item.insertion.physics for item in _selected(trials, base).chosen] == ["stop", "saturation"]
+    assert seen == [1e6, 5e5, 9e5]  # not beside the rotation, which leaves more alone than the first of the pair
 
 
 def test_several_effects_that_leave_noise_by_another_measure_of_it_are_not_searched_for_again():

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 __all__ = ["undrawn"]
@@ -21,4 +22,5 @@ def undrawn() -> Iterator[None]:
     """Let nothing be drawn where a figure is saved: that takes most of the time of a report."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", _leave_empty)
+        patch.setattr(FigureCanvasAgg, "print_png", lambda canvas, target: None)
         yield

@@ -23,8 +23,10 @@ from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.files import diagnosis_data
 from rotorsim.errors import RotorsimError
+from rotorsim.jobs.jobs import Jobs, local_workers
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
+from rotorsim.report.amplitudes import amplitudes
 from rotorsim.report.comparison import speed_curves
 from rotorsim.report.comparison.harmonics import Comparison
 from rotorsim.report.comparison.speed_curves import speed_curve
@@ -432,6 +434,16 @@ def test_a_diagnosis_by_resonances_says_that_it_draws_nothing(monkeypatch):
 
 def test_a_diagnosis_is_drawn_over_speed():
     assert bowed().plot().get_suptitle() == "Main harmonics of rotor.displacement over speed, hold-out runs"
+
+
+@pytest.mark.slow
+def test_figures_drawn_by_other_processes_are_the_same(tmp_path: Path) -> None:
+    with local_workers(Jobs(2)) as jobs, amplitudes("peak-peak"):
+        several = save_report(bowed(), tmp_path / "several", command="", jobs=jobs)
+        one = save_report(bowed(), tmp_path / "one", command="")
+    assert [file.name for file in several] == [file.name for file in one]
+    for here, there in zip(several, one, strict=True):
+        assert here.read_bytes() == there.read_bytes(), here.name
 
 
 @pytest.mark.slow

@@ -64,7 +64,7 @@ def test_bars_of_spectra():
 
 
 def test_bars_over_speed(monkeypatch):
-    monkeypatch.setattr(speed_curves, "speed_curve", lambda runs, group, signal, orders: None)
+    monkeypatch.setattr(speed_curves, "speed_curve", lambda runs, group, signal, orders, reach: None)
     um, degrees = (0.1644854, 0.3289708), np.degrees((0.1644854, 0.0822427))
     expected = [2 * [pytest.approx(half, rel=1e-6)] for half in (*um, *degrees)]
     assert halves(speed_curves_figure(ONE)) == expected

@@ -20,7 +20,7 @@ from rotorsim.diagnosis.search.idle import nested, simplified, without_idle
 from rotorsim.diagnosis.search.promises import level_of, noticed_from
 from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.identification.coordinates import ANGLE_UNIT
-from rotorsim.jobs.jobs import Jobs, local_workers
+from rotorsim.jobs.jobs import Jobs
 
 BEAM_WIDTH = 2  # hypotheses that the next round starts from
 LAW_AND_PLACE_TURNS = 3  # from a law to its places, and from a place to its laws
@@ -85,9 +85,8 @@ def select_effects(
 
     earlier: with another measure of the noise. Raises RotorsimError.
     """
-    with local_workers(jobs) as shared:
-        trials = Trials(evidence, catalogue, shared, {} if earlier is None else earlier.searched)
-        return replace(_selected(trials, base, earlier), searched=trials.rounds)
+    trials = Trials(evidence, catalogue, jobs, {} if earlier is None else earlier.searched)
+    return replace(_selected(trials, base, earlier), searched=trials.rounds)
 
 
 def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Selection:
@@ -113,16 +112,13 @@ def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Se
         if first.classes and _is_disturbed(chosen[-1].fit, trials.evidence):
             break
         grown: list[tuple[tuple[Candidate, ...], Round]] = []
+        begun = {path[0].insertion.key for path in beam}
         for path in beam:
-            after = _round(trials, path[-1].fit)
-            for item in _distinct(after.tried, path[-1].fit)[:1]:
-                grown.append(((*path, item), after))
-            if grown and is_adequate(grown[-1][0][-1].fit):
+            grown += _grown(trials, base, path, begun)
+            if any(is_adequate(path[-1].fit) for path, _ in grown):
                 break
         if not grown:
             break
-        if len(chosen) == 1 and not any(_leaves_noise(path[-1].fit) for path, _ in grown):
-            grown += _begun_anew(trials, base, [path for path, _ in grown])
         grown.sort(key=lambda pair: pair[0][-1].fit.criterion)
         best, after = grown[0]
         if not _leaves_noise(best[-1].fit) and _share(best[-1].fit, chosen[-1].fit) < CRITERIA.worth:
@@ -163,18 +159,24 @@ def _found_before(
     return again if kept or best is None else (*others, best), [*[first] * len(others), last]
 
 
-def _begun_anew(
-    trials: Trials, base: Fit, pairs: Sequence[tuple[Candidate, ...]]
+def _grown(
+    trials: Trials, base: Fit, path: tuple[Candidate, ...], begun: set[str]
 ) -> list[tuple[tuple[Candidate, ...], Round]]:
-    """Return pairs that begin with the second effect of pairs: the first, found alone, may imitate two at once."""
-    found: list[tuple[tuple[Candidate, ...], Round]] = []
-    for pair in sorted(pairs, key=lambda pair: pair[-1].fit.criterion):
-        alone = trials.refitted(base, pair[1:], pair[-1].fit)
-        if alone and alone[0].insertion.key not in {path[0].insertion.key for path, _ in found}:
-            after = _round(trials, alone[0].fit)
-            found += [((*alone, item), after) for item in _distinct(after.tried, alone[0].fit)[:1]]
-            if found and _leaves_noise(found[-1][0][-1].fit):
-                break
+    """Return a path with the effect that explains most beside it, and the round in which that was found.
+
+    A pair that leaves more than noise is begun with its second effect as well, where none was ``begun`` with it: the
+    first, found alone, may imitate two at once. That comes before other firsts, which leave more alone.
+    """
+    after = _round(trials, path[-1].fit)
+    found = [((*path, item), after) for item in _distinct(after.tried, path[-1].fit)[:1]]
+    if len(path) > 1 or not found or _leaves_noise(found[0][0][-1].fit):
+        return found
+    [(pair, _)] = found
+    alone = trials.refitted(base, pair[1:], pair[-1].fit)
+    if alone and alone[0].insertion.key not in begun:
+        begun.add(alone[0].insertion.key)
+        after = _round(trials, alone[0].fit)
+        found += [((*alone, item), after) for item in _distinct(after.tried, alone[0].fit)[:1]]
     return found
 
 

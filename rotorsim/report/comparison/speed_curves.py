@@ -19,23 +19,24 @@ BATCH = 64  # speeds solved at a time
 
 
 def speed_curve(
-    runs: PredictedRuns, group: str, signal: Signal, orders: np.ndarray
+    runs: PredictedRuns, group: str, signal: Signal, orders: np.ndarray, reach: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return ascending speeds (n,) [rad/s] over the range of all runs, and the harmonics (n, orders) there.
 
-    nan where the diagram is not stable and so never settles, and where it is rounding or far below the noise. None
-    where the diagram needs measured inputs, which nobody knows between the runs; and where the motion that it settles
-    to over speed is not the one that it has in the runs (a nonlinear diagram may have several).
+    reach (k,): further speeds [rad/s] that it extends to. nan where the diagram is not stable and so never settles, and
+    where it is rounding or far below the noise. None where the diagram needs measured inputs, which nobody knows
+    between the runs; and where the motion that it settles to over speed is not the one that it has in the runs (a
+    nonlinear diagram may have several).
     """
     members, every = runs.groups[group], runs.speeds
-    side = every[np.sign(every) == np.sign(every[members[0]])]
-    if runs.experiment.given or np.ptp(side) == 0:
+    range_ = speed_range(runs, group)
+    if runs.experiment.given or range_ is None:
         return None
-    margin = 0.03 * np.ptp(side)
-    low, high = np.abs(side).min() - margin, np.abs(side).max() + margin
-    grid = np.linspace(max(low, 0.5 * np.abs(side).min()), high, SPEEDS) * np.sign(side[0])
-    own = [r for r in members if every[r] in side]
-    speeds = np.unique(np.concatenate([grid, every[own]]))
+    side = np.concatenate([range_, [] if reach is None else reach])
+    side = np.abs(side[np.sign(side) == np.sign(range_[0])])
+    grid = np.linspace(side.min(), side.max(), SPEEDS) * np.sign(range_[0])
+    own = [r for r in members if np.sign(every[r]) == np.sign(range_[0])]
+    speeds = np.unique(np.concatenate([grid, range_, every[own]]))
     with one_thread():  # many small matrices
         values = settled_harmonics(runs, members[0], speeds, signal, orders)
         for _ in range(REFINEMENTS):
@@ -52,6 +53,20 @@ def speed_curve(
     noise = min(float(runs.measured(r, signal).noise.min()) for r in range(len(every)))
     least = max(ZERO_SHARE * float(np.nanmax(np.abs(values), initial=0.0)), UNSEEN * noise)
     return speeds, np.where(np.abs(values) > least, values, np.nan)
+
+
+def speed_range(runs: PredictedRuns, group: str) -> np.ndarray | None:
+    """Return the lowest and the highest speed (2,) [rad/s] of a curve over all runs that turn as those of a group do.
+
+    A little beyond the runs; None where all turn equally fast.
+    """
+    every = runs.speeds
+    side = np.abs(every[np.sign(every) == np.sign(every[runs.groups[group][0]])])
+    if np.ptp(side) == 0:
+        return None
+    margin = 0.03 * np.ptp(side)
+    ends = np.array([max(side.min() - margin, 0.5 * side.min()), side.max() + margin])
+    return np.asarray(ends * np.sign(every[runs.groups[group][0]]))
 
 
 def _meets(

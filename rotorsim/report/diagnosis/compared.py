@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -35,6 +35,8 @@ from rotorsim.report.style import BLUE, RED, Look
 GIVEN = Look("diagram as given", RED, "s", "--", 8.5)
 REPAIRED = Look("repaired diagram", BLUE, "o", "-", 7.0)
 HELD, FITTED = "hold-out runs", "fitted runs"
+SHOWN_HARMONICS = ("spectra", "orbits", "speed_curves")
+Diagrams = Sequence[tuple[Look, Mapping[str, Any]]]  # the diagram as given, then the repaired one where it differs
 SPECTRA = (
     "Full spectra: what noise alone would give is grey; a residual (cross) below it is explained. Small marks, where "
     "there are any: asynchronous lines, at kX + nu."
@@ -65,6 +67,10 @@ class Compared(Protocol):
     @property
     def speeds(self) -> Sequence[float]:
         """The speeds of the fitted runs [rad/s]; none of a machine that does not turn."""
+
+    @property
+    def parts(self) -> Sequence[Compared]:
+        """Itself in parts, whose figures are drawn apart."""
 
     def figures(self) -> Iterator[Drawn]:
         """Return figures of both diagrams beside hold-out runs, beside fitted ones without any."""
@@ -98,8 +104,9 @@ def looks_of(diagnosis: Diagnosis) -> tuple[Look, ...]:
     return GIVEN, replace(REPAIRED, label="nearest model") if diagnosis.verdict == "outside_catalogue" else REPAIRED
 
 
-def _documents(diagnosis: Diagnosis) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    return values_in(diagnosis.before.document, diagnosis.before.values), diagnosis.document
+def _diagrams(diagnosis: Diagnosis) -> Diagrams:
+    given = values_in(diagnosis.before.document, diagnosis.before.values)
+    return tuple(zip(looks_of(diagnosis), (given, diagnosis.document), strict=False))
 
 
 # -- harmonics of a turning shaft --------------------------------------------------------------------------------------
@@ -109,14 +116,20 @@ def _documents(diagnosis: Diagnosis) -> tuple[Mapping[str, Any], Mapping[str, An
 class OfHarmonics:
     """Diagrams beside harmonics of a turning shaft."""
 
-    found: Diagnosis
+    diagrams: Diagrams
     evidence: HarmonicEvidence
     given: HarmonicEvidence  # with the readings as they are, without converters that the diagram lacks
+    shown: Collection[str] = SHOWN_HARMONICS
 
     @property
     def speeds(self) -> Sequence[float]:
         """The speeds of the fitted runs [rad/s]."""
         return [item.fit.speed for item in self.evidence.harmonics]
+
+    @property
+    def parts(self) -> Sequence[OfHarmonics]:
+        """Harmonics of the runs, and curves over speed, which take as long."""
+        return [replace(self, shown=some) for some in (SHOWN_HARMONICS[:2], SHOWN_HARMONICS[2:])]
 
     @cached_property
     def fitted(self) -> Comparison | None:
@@ -132,8 +145,8 @@ class OfHarmonics:
 
     def _beside(self, parts: tuple[HarmonicRuns, HarmonicRuns], of: str) -> Comparison | None:
         """Return both diagrams beside runs: the first beside readings as they are, where converters were found."""
-        items = zip(looks_of(self.found), _documents(self.found), parts, strict=False)
-        both = ((look, self._predicted(document, part)) for look, document, part in items)
+        pairs = zip(self.diagrams, parts, strict=False)
+        both = ((look, self._predicted(document, part)) for (look, document), part in pairs)
         diagrams = tuple((look, runs) for look, runs in both if runs is not None)
         return Comparison(diagrams, of) if diagrams else None
 
@@ -148,12 +161,16 @@ class OfHarmonics:
 
     def figures(self) -> Iterator[Drawn]:
         """Return spectra, orbits and curves over speed, beside hold-out runs or else fitted ones."""
-        shown = self.held or self.fitted
-        if shown is not None:
-            yield Drawn("spectra", spectra_figure(shown), SPECTRA)
-            yield Drawn("orbits", orbits_figure(shown), ORBITS)
+        beside = self.held or self.fitted
+        if beside is None:
+            return
+        if "spectra" in self.shown:
+            yield Drawn("spectra", spectra_figure(beside), SPECTRA)
+        if "orbits" in self.shown:
+            yield Drawn("orbits", orbits_figure(beside), ORBITS)
+        if "speed_curves" in self.shown:
             fitted = None if self.held is None else self.fitted
-            yield Drawn("speed_curves", speed_curves_figure(shown, fitted), CURVES)
+            yield Drawn("speed_curves", speed_curves_figure(beside, fitted), CURVES)
 
     def residuals(self) -> Drawn | None:
         """Return the residuals of all harmonics of the fitted runs."""
@@ -170,10 +187,15 @@ class OfHarmonics:
 class OfSamples:
     """Diagrams beside samples in time; each sample is not independent of the one before."""
 
-    found: Diagnosis
+    diagrams: Diagrams
     evidence: WaveformEvidence
     given: WaveformEvidence
     speeds: Sequence[float] = ()
+
+    @property
+    def parts(self) -> Sequence[OfSamples]:
+        """Itself: all figures are of the same simulated motion."""
+        return [self]
 
     def figures(self) -> Iterator[Drawn]:
         """Return signals in time, each in the run that the diagram as given explains least."""
@@ -187,10 +209,9 @@ class OfSamples:
 
     def beside(self, runs: Sequence[SampledRun], title: str) -> SampleComparison:
         """Return both diagrams beside the signals of some runs."""
-        evidence, looks = self.evidence, looks_of(self.found)
+        evidence = self.evidence
         with one_thread():
-            documents = zip(looks, _documents(self.found), strict=False)
-            simulated = [evidence.simulated(document, runs) for _, document in documents]
+            simulated = [evidence.simulated(document, runs) for _, document in self.diagrams]
         traces = tuple(
             Trace(
                 run.id,
@@ -203,7 +224,7 @@ class OfSamples:
             for r, run in enumerate(runs)
             for c, name in enumerate(evidence.channels.outputs)
         )
-        return SampleComparison(looks, traces, title)
+        return SampleComparison(tuple(look for look, _ in self.diagrams), traces, title)
 
 
 # -- order vectors over the speed --------------------------------------------------------------------------------------
@@ -213,18 +234,22 @@ class OfSamples:
 class OfOrders:
     """Diagrams beside order vectors over the speed."""
 
-    found: Diagnosis
+    diagrams: Diagrams
     evidence: OrderEvidence
     given: OrderEvidence
     speeds: Sequence[float] = ()
 
+    @property
+    def parts(self) -> Sequence[OfOrders]:
+        """Itself: all figures are of the same simulated motion."""
+        return [self]
+
     def figures(self) -> Iterator[Drawn]:
         """Return a Bode plot of every run and channel."""
-        evidence, looks = self.evidence, looks_of(self.found)
+        evidence = self.evidence
         of = HELD if evidence.held else FITTED
         with one_thread():
-            pairs = zip(looks, _documents(self.found), strict=False)
-            simulated = [(look, evidence.vectors(document)) for look, document in pairs]
+            simulated = [(look, evidence.vectors(document)) for look, document in self.diagrams]
         for r, (run, columns) in enumerate(evidence.shown):
             for c, (column, channel) in enumerate(columns.items()):
                 noise = evidence.noise[channel.label]
@@ -241,11 +266,10 @@ class OfOrders:
 
     def residuals(self) -> Drawn | None:
         """Return what is left of the rows of the first channel in the longest fitted run, and its autocorrelation."""
-        looks, evidence = looks_of(self.found), self.evidence
+        evidence = self.evidence
         r = max(range(len(evidence.runs)), key=lambda k: len(evidence.runs[k].speed))
         with one_thread():
-            parts = zip(looks, _documents(self.found), strict=False)
-            left = [(look, evidence.left_over(document)) for look, document in parts]
+            left = [(look, evidence.left_over(document)) for look, document in self.diagrams]
         rows = [
             Curve(look.label, evidence.runs[r].speed, parts[r][:, 0], look.line, look.colour)
             for look, parts in left
@@ -264,10 +288,15 @@ class OfOrders:
 class OfResonances:
     """Recorded resonances: nothing is drawn of them."""
 
-    found: Diagnosis
+    diagrams: Diagrams
     evidence: ResonanceEvidence
     given: ResonanceEvidence
     speeds: Sequence[float] = ()
+
+    @property
+    def parts(self) -> Sequence[OfResonances]:
+        """None."""
+        return []
 
     def figures(self) -> Iterator[Drawn]:
         """Return nothing."""
@@ -277,7 +306,7 @@ class OfResonances:
         """Return nothing."""
 
 
-_BY_EVIDENCE: Mapping[type[Any], Callable[[Diagnosis, Any, Any], Compared]] = {
+_BY_EVIDENCE: Mapping[type[Any], Callable[[Diagrams, Any, Any], Compared]] = {
     HarmonicEvidence: OfHarmonics,
     WaveformEvidence: OfSamples,
     OrderEvidence: OfOrders,
@@ -288,4 +317,4 @@ _BY_EVIDENCE: Mapping[type[Any], Callable[[Diagnosis, Any, Any], Compared]] = {
 def compared(diagnosis: Diagnosis) -> Compared:
     """Return the comparison that the evidence of a diagnosis allows."""
     of = next(_BY_EVIDENCE[kind] for kind in type(diagnosis.evidence).__mro__ if kind in _BY_EVIDENCE)
-    return of(diagnosis, diagnosis.evidence, diagnosis.given)
+    return of(_diagrams(diagnosis), diagnosis.evidence, diagnosis.given)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from rotorsim.diagnosis.files import diagnosis_data, repaired_document
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError, escape
 from rotorsim.files import write_atomically
+from rotorsim.jobs.jobs import Jobs, run_jobs
+from rotorsim.report.amplitudes import amplitudes, shown_amplitudes
 from rotorsim.report.diagnosis.compared import Compared, compared, is_unchanged, looks_of
 from rotorsim.report.diagnosis.effects import what_is_missing
 from rotorsim.report.diagnosis.parameters import parameters_figure
@@ -21,7 +24,7 @@ from rotorsim.report.diagnosis.provenance import provenance
 from rotorsim.report.diagnosis.rivals import fits_table, rivals_tables
 from rotorsim.report.diagnosis.signals import missing_signals
 from rotorsim.report.diagnosis.words import estimate, percent, plain_words
-from rotorsim.report.page import Drawn, Page, paragraph, table
+from rotorsim.report.page import Drawn, Page, Picture, paragraph, picture_of, table
 from rotorsim.report.provenance import own_command
 
 REPORT = "report.html"
@@ -34,30 +37,58 @@ VERDICT_WORDS = {
 ERROR = "Root mean square of the residual, in parts of the signal about its mean."
 
 
-def save_report(diagnosis: Diagnosis, folder: str | Path, *, command: str | None = None) -> list[Path]:
+def save_report(
+    diagnosis: Diagnosis, folder: str | Path, *, command: str | None = None, jobs: Jobs | None = None
+) -> list[Path]:
     """Write report.html and its figures as PNG (the diagram as SVG) into a folder; return the files.
 
-    command: what made the diagnosis (default: the command line of rotorsim, if this is one).
+    command: what made the diagnosis (default: the command line of rotorsim, if this is one). jobs: processes that
+    draw (default: this one).
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    page, both = Page(folder), compared(diagnosis)
+    page, both = Page(folder), _Beside.drawn(compared(diagnosis), jobs or Jobs(workers=1))
     title = f"Diagnosis of {diagnosis.document.get('name', 'diagram')} from {diagnosis.evidence.recording.name}"
     sections = _sections(diagnosis, both, page, title, own_command() if command is None else command)
     write_atomically(folder / REPORT, page.html(title, sections))
     return [folder / REPORT, *page.files]
 
 
-def _sections(diagnosis: Diagnosis, both: Compared, page: Page, title: str, command: str) -> Iterator[str]:
+@dataclass(frozen=True)
+class _Beside:
+    """Both diagrams beside what was measured: the speeds of the fitted runs [rad/s], and the figures."""
+
+    speeds: Sequence[float]
+    figures: Sequence[Picture]
+    residuals: Picture | None
+
+    @staticmethod
+    def drawn(both: Compared, jobs: Jobs) -> _Beside:
+        """Return the figures of a comparison; what is drawn apart, each by a process of its own."""
+        tasks = [*((part, False, shown_amplitudes()) for part in both.parts), (both, True, shown_amplitudes())]
+        *figures, residuals = run_jobs(_pictures, tasks, jobs=replace(jobs, progress=None))
+        pictures = tuple(Picture(**one) for part in figures for one in part)
+        return _Beside(both.speeds, pictures, Picture(**residuals[0]) if residuals else None)
+
+
+def _pictures(task: tuple[Compared, bool, str]) -> list[dict[str, str]]:
+    """Return the residuals, or the other figures, of a comparison as pixels."""
+    both, residuals, amplitude = task
+    with amplitudes(amplitude):
+        drawn = [both.residuals()] if residuals else both.figures()
+        pictures = [picture_of(one) for one in drawn if one is not None]
+    return [one._asdict() for one in pictures if one is not None]
+
+
+def _sections(diagnosis: Diagnosis, both: _Beside, page: Page, title: str, command: str) -> Iterator[str]:
     data = diagnosis_data(diagnosis)
     yield _head(diagnosis, title)
     yield _where(diagnosis, page)
     yield what_is_missing(diagnosis, data, both.speeds)
     yield from missing_signals(diagnosis, page)
     yield _before_and_after(diagnosis, both, page)
-    residuals = both.residuals()
-    yield fits_table(diagnosis, independent=diagnosis.evidence.independent and residuals is not None)
-    yield page.figure(residuals)
+    yield fits_table(diagnosis, independent=diagnosis.evidence.independent and both.residuals is not None)
+    yield page.picture(both.residuals)
     yield rivals_tables(diagnosis)
     yield _parameters(diagnosis, data["parameters"]["before"], data["parameters"]["after"], page)
     yield f"<h2>Next experiment</h2>\n{paragraph(_sentence(diagnosis.next_experiment))}"
@@ -144,7 +175,7 @@ def _diagram(diagnosis: Diagnosis, repaired: Diagram, page: Page) -> str:
     return f'<figure class="wide">{svg}<figcaption>{caption}</figcaption></figure>'
 
 
-def _before_and_after(diagnosis: Diagnosis, both: Compared, page: Page) -> str:
+def _before_and_after(diagnosis: Diagnosis, both: _Beside, page: Page) -> str:
     looks, scores, kind = looks_of(diagnosis), (diagnosis.score_before, diagnosis.score_after), _runs(diagnosis)
     parts = [f"<h2>{'Fit' if is_unchanged(diagnosis) else 'Before and after'}, {kind}</h2>"]
     floor = {**scores[0].floor, **scores[1].floor}
@@ -157,7 +188,7 @@ def _before_and_after(diagnosis: Diagnosis, both: Compared, page: Page) -> str:
         parts.append(paragraph(ERROR, small=True))
     if diagnosis.proof is not None:
         parts.append(paragraph(_sentence(f"{diagnosis.proof.status} on {kind}: {diagnosis.proof.reason}")))
-    figures = [page.figure(drawn) for drawn in both.figures()]
+    figures = [page.picture(one) for one in both.figures]
     if figures and not diagnosis.held_out:
         parts.append(paragraph("There were no hold-out runs: the figures show fitted runs."))
     return "\n".join([*parts, *figures])

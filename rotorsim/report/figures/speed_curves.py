@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFo
 from rotorsim.criteria import Z90
 from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.comparison.harmonics import Comparison, PredictedRuns, Signal
-from rotorsim.report.comparison.speed_curves import speed_curve
+from rotorsim.report.comparison.speed_curves import speed_curve, speed_range
 from rotorsim.report.style import (
     BLUE,
     GREEN,
@@ -63,6 +63,14 @@ class _Set:
 
 
 @dataclass(frozen=True, eq=False)
+class _Fitted:
+    """Fitted runs with the settings of a set of others."""
+
+    runs: PredictedRuns
+    members: Sequence[int]
+
+
+@dataclass(frozen=True, eq=False)
 class _Panels:
     """Amplitude above phase for each order, (2, orders); branches: the phase drawn last, on which all others lie."""
 
@@ -99,9 +107,7 @@ def speed_curves_figure(
             axes.set_title(f"{order}X{kind}{only}", loc="left", fontsize=9)
             axes.set_yscale("log")
         for item in row:
-            _draw_set(panels, item)
-            if fitted is not None:
-                _draw_fitted(panels, item, fitted)
+            _draw_set(panels, item, None if fitted is None else _of_set(fitted.runs, item, signal, orders))
         for upper, lower in half.T:
             _plain_ticks(upper, lower)
         half[0, 0].set_ylabel(f"{signal.title}\n[{of_amplitude(display(1.0, signal.unit)[1])}]")
@@ -150,19 +156,43 @@ def _plain_ticks(upper: Axes, lower: Axes) -> None:
     lower.yaxis.set_major_locator(MultipleLocator(next((s for s in PHASE_STEPS if span / s <= 5), 180)))
 
 
-def _draw_set(panels: _Panels, item: _Set) -> None:
-    """Draw diagrams and runs with the same settings."""
+def _of_set(fitted: PredictedRuns, item: _Set, signal: Signal, orders: np.ndarray) -> _Fitted | None:
+    """Return the fitted runs that have the settings of some others; None without any."""
+    one, other = item.runs.experiment, fitted.experiment
+    if signal.x not in other.predicted or one.p.shape[1] != other.p.shape[1]:
+        return None
+    still, p = ~item.runs.follows_speed, one.p[item.runs.groups[item.group][0]]
+    members = [r for r, row in enumerate(other.p) if np.array_equal(row[still], p[still])]
+    return _Fitted(fitted, members) if members and set(orders) <= set(fitted.orders(signal)) else None
+
+
+def _draw_set(panels: _Panels, item: _Set, fitted: _Fitted | None) -> None:
+    """Draw diagrams and runs with the same settings; thinly, where fitted ones reach further, and those."""
     members = sorted(item.runs.groups[item.group], key=lambda r: item.runs.speeds[r])
     for look, runs in item.diagrams:
         group = item.group if item.group in runs.groups else runs.group_of(members[0])
-        curve = speed_curve(runs, group, panels.signal, panels.orders)
+        reach = None if fitted is None else speed_range(fitted.runs, fitted.runs.group_of(fitted.members[0]))
+        curve = speed_curve(runs, group, panels.signal, panels.orders, reach)
         form: dict[str, Any] = {"ls": look.line, "color": look.colour, "label": look.label}
         if curve is None:
             form |= {"ls": "none", "marker": look.marker, "ms": 9, "mfc": "none"}
             columns = np.searchsorted(runs.orders(panels.signal), panels.orders)
             curve = runs.speeds[members], np.array([runs.prediction(r, panels.signal)[columns] for r in members])
+        elif reach is not None:
+            _draw_curve(panels, curve, {"color": look.colour, "ls": look.line, "lw": 0.8, "zorder": 1})
+            curve = _within(curve, speed_range(runs, group))
         panels.branches[:] = _draw_curve(panels, curve, form)
     _draw_points(panels, item.runs, members, item.measured)
+    if fitted is not None:
+        _draw_points(panels, fitted.runs, fitted.members, FITTED, mfc="white", capsize=0, zorder=4)
+
+
+def _within(curve: Curve, ends: np.ndarray | None) -> Curve:
+    """Return the part of a curve between two speeds."""
+    if ends is None:
+        return curve
+    inside = (curve[0] >= ends.min()) & (curve[0] <= ends.max())
+    return curve[0][inside], curve[1][inside]
 
 
 def _draw_curve(panels: _Panels, curve: Curve, form: dict[str, Any]) -> list[Curve]:
@@ -201,19 +231,3 @@ def _draw_points(panels: _Panels, runs: PredictedRuns, members: Sequence[int], l
         phase += 360 * np.round((near - phase) / 360)
         sure = std < 1.0
         lower.errorbar(rpm(at)[sure], phase[sure], np.degrees(Z90 * std[sure]), **form)
-
-
-def _draw_fitted(panels: _Panels, item: _Set, fitted: Comparison) -> None:
-    """Draw the fitted runs that have the settings of some others, and thinly the diagrams beyond those."""
-    one, other = item.runs.experiment, fitted.runs.experiment
-    if panels.signal.x not in other.predicted or one.p.shape[1] != other.p.shape[1]:
-        return
-    still, p = ~item.runs.follows_speed, one.p[item.runs.groups[item.group][0]]
-    members = [r for r, row in enumerate(other.p) if np.array_equal(row[still], p[still])]
-    if not members or not set(panels.orders) <= set(fitted.runs.orders(panels.signal)):
-        return
-    for look, runs in fitted.diagrams:
-        curve = speed_curve(runs, runs.group_of(members[0]), panels.signal, panels.orders)
-        if curve is not None:
-            _draw_curve(panels, curve, {"color": look.colour, "ls": look.line, "lw": 0.8, "zorder": 1})
-    _draw_points(panels, fitted.runs, members, FITTED, mfc="white", capsize=0, zorder=4)
