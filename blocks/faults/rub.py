@@ -25,6 +25,7 @@ class Rub(Block):
                 "stiffness": (1e4, 3e5),
                 "friction": (0.1,),
             },
+            simpler={"friction": (0.0, "clearance")},
             law="none below a threshold in amplitude; above it every order and a mean force",
             confused_with=("clearance", "cubic_stiffness"),
             told_apart_by="amplitude: change the unbalance or the gains at one speed, and watch the threshold",

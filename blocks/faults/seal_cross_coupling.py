@@ -27,6 +27,7 @@ class SealCrossCoupling(Block):
         {
             "free": {"cross_stiffness": (1e3,), "direct_stiffness": (1e3,), "direct_damping": (1.0,)},
             "sizes": ("cross_stiffness", "direct_stiffness", "direct_damping"),
+            "holds": ("support_stiffness", "magnetic_pull"),
             "confused_with": ("internal_damping", "sensor_rotation", "support_stiffness"),
         }
     )

@@ -16,6 +16,7 @@ from rotorsim.diagnosis.evidence.missing_signal import PlaceClass, likely_spots
 from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.diagnosis.search.promises import (
     as_promising,
+    at_best_places,
     at_likely_places,
     at_next_places,
     at_other_places,
@@ -44,8 +45,44 @@ def test_places_that_allow_ten_times_the_least_are_not_looked_at():
     )
     found = [SimpleNamespace(law=("rub", 0), spot=spot) for spot in ("beyond", "far", "near", "unknown")]
     screening = Screening(SimpleNamespace(costly=False, laws=lambda before: None), SimpleNamespace())
-    kept = screening.screened(left(50.0), found, [], places, None).kept
+    kept = screening.screened(left(50.0), found, [None] * 4, places, None).kept
     assert sorted(kept) == [1, 2, 3]
+
+
+def test_laws_are_fitted_where_they_promise_most_and_elsewhere_once_they_are_chosen():
+    """FAULT: of a seal at one node of a beam that explains a third, free harmonics of its force told another node.
+
+    Three places of a law whose promises are exact, two of others; what leaves, or explains, half as much is no rival.
+    """
+
+    def tried(promised, exact=True, before=1e4):
+        found = [placed("seal", f"{k}") for k in range(len(promised))]
+        promises = {k: Promise(misfit, exact=exact) for k, misfit in enumerate(promised)}
+        return at_best_places(found, promises, left(before / ROWS))
+
+    weak = [4100.0, 4000.0, 6990.0, 4200.0, 4300.0, 7010.0, 4400.0, 4500.0]  # of 6000 that the best explains
+    assert tried(weak) == ([1, 0, 3], [4, 6, 7])
+    assert tried(weak, exact=False) == ([1, 0], [3, 4, 6, 7])
+    assert tried([4000.0, 6990.0, 7010.0]) == ([0, 1], [])
+    assert tried([100.0, 1e5, 50.0, 9e5], before=1e6) == ([2, 0], [])  # noise leaves 999: both are it
+    assert tried([1500.0, 2990.0, 3010.0], before=1e6) == ([0, 1], [])
+
+
+def test_where_what_was_promised_is_not_kept_the_next_are_fitted_to_the_first():
+    """FAULT: laws at stiff supports, where nothing moves, promised most, and what else was there stayed unknown."""
+    promised = {k: Promise(100.0 + k) for k in range(20)}
+
+    def fits(left_over):
+        seen = []
+        trials = Trials(None, None, SimpleNamespace(processes=1))
+        trials._fit = lambda jobs, effort: seen.append(list(jobs)) or [left(left_over(k)) for k in jobs]
+        begun = trials._begun(left(2000.0), range(20), range(20), promised, lambda k, first: False)
+        assert sorted(begun) == [*range(20)]
+        return [len(some) for some in seen]
+
+    assert fits(lambda k: 1900.0) == [4, 4, 4, 8]
+    assert fits(lambda k: 1000.0 if k == 5 else 1900.0) == [4, 4, 12]  # more than half of what was promised
+    assert fits(lambda k: 1000.0) == [4, 16]
 
 
 def test_beside_a_fit_what_promises_as_much_is_tried_but_once():
@@ -148,7 +185,7 @@ def test_what_can_be_no_rival_of_the_most_promising_is_not_followed():
 
 
 def test_laws_that_linear_theory_tells_to_explain_too_little_are_not_fitted():
-    """Exactly: half of what a rival of one that explains the data must explain. Else a tenth of what the best explains.
+    """Exactly: half of what one that explains the data explains. Else a tenth of what the best explains.
 
     Beside a diagram that explains the data, half of the drop that is noticed.
     """
@@ -158,7 +195,7 @@ def test_laws_that_linear_theory_tells_to_explain_too_little_are_not_fitted():
         return is_beyond(Promise(misfit, without=start.misfit, exact=exact), start, fits, 20.0)
 
     assert not is_beyond(None, before, [good], 20.0)
-    needed = before.misfit - 100 * good.misfit
+    needed = before.misfit - good.misfit
     assert [is_out(before.misfit - share * needed, [some, good]) for share in (0.501, 0.499)] == [False, True]
     for exact, best in ((False, good), (True, left(2.0))):
         promised = [before.misfit - share * (before.misfit - best.misfit) for share in (0.101, 0.099)]

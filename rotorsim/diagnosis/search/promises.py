@@ -18,6 +18,8 @@ from rotorsim.diagnosis.search.candidates import Candidate
 MOST_LAWS = 16  # fitted in one round, each at its best place, where what laws promise is known
 LEAST_FITS = 8  # in such a round, at the next best places where so many laws do not promise enough
 MOST_PROMISING = 4  # fits that come before the others
+MOST_BROKEN = 3  # times that as many come, where what was promised to the first was not kept
+SURE_PLACES = 2  # of a law beside its best, which are fitted at once where its promises are as exact as linear theory
 BEST_LAWS = 2  # by their fits, which are tried at other places before one is chosen
 OTHER_PLACES = 4  # of each of these, of promises that differ by more than
 DISTINCT = 1e-3  # relative: what promises the same does the same
@@ -60,6 +62,29 @@ def at_rival_places(
         most = NEAR_PROMISE * max(known[which[0]], before.freedom)
         near += [k for k in which if k not in kept and known[k] <= most][:RIVAL_PLACES]
     return near
+
+
+def at_best_places(
+    candidates: Sequence[Insertion], promises: Mapping[int, Promise], before: Fit
+) -> tuple[list[int], list[int]]:
+    """Return the insertions at the places where each law promises most, and at others where it promises nearly as much.
+
+    The former are fitted, the latter once a law is chosen. Nearly: what it leaves there, and what it explains, are
+    NEAR_PROMISE times worse at most; the one tells little of a weak effect, the other of a strong one.
+    """
+    of_law: dict[Law, list[int]] = {}
+    for k in sorted(promises, key=lambda k: promises[k].misfit):
+        of_law.setdefault(candidates[k].law, []).append(k)
+    kept: list[int] = []
+    elsewhere: list[int] = []
+    for best, *others in of_law.values():
+        most = NEAR_PROMISE * max(promises[best].misfit, before.freedom)
+        least = (before.misfit - promises[best].misfit) / NEAR_PROMISE
+        near = [k for k in others if promises[k].misfit <= min(most, before.misfit - least)]
+        count = SURE_PLACES if promises[best].exact else 1
+        kept += [best, *near[:count]]
+        elsewhere += near[count:RIVAL_PLACES]
+    return kept, elsewhere
 
 
 def as_promising(
@@ -166,7 +191,7 @@ def is_beyond(promise: Promise | None, before: Fit, fits: Sequence[Fit], noticed
         return NEAR_PROMISE * drop < noticed
     least = min((fit.misfit for fit in fits if not fit.failure), default=before.misfit)
     if promise.exact and any(map(is_adequate, fits)):  # FAULT: a bow that leaves noise was told to leave 547 times it
-        return NEAR_PROMISE * drop < without - RIVAL_MISFIT * least
+        return NEAR_PROMISE * drop < without - least
     return drop < STARTED * (before.misfit - least)
 
 

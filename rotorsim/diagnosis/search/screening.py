@@ -12,7 +12,7 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.search.candidates import Job, Round
-from rotorsim.diagnosis.search.promises import misfit_of, most_promising
+from rotorsim.diagnosis.search.promises import at_best_places, misfit_of, most_promising
 from rotorsim.diagnosis.search.work import Work
 from rotorsim.jobs.threads import one_thread
 
@@ -27,13 +27,15 @@ HINT = 0.3  # drop of the misfit for each parameter, with data that are explaine
 class Screened:
     """kept: the insertions that are fitted. promises: of each insertion; near: so where that tells places apart.
 
-    laws: what insertions leave by linear theory of their laws, of those where that is known.
+    laws: what insertions leave by linear theory of their laws, of those where that is known. elsewhere: what is fitted
+    where its law is chosen.
     """
 
     kept: list[int]
     promises: Sequence[Promise | None]
     near: Sequence[Promise | None]
     laws: Mapping[int, Promise] = field(default_factory=dict)
+    elsewhere: Sequence[int] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +48,7 @@ class Screening:
     def all(self, before: Fit, candidates: Sequence[Insertion]) -> Screened:
         """Return all insertions, with what their laws leave."""
         unknown, every = [None] * len(candidates), [*range(len(candidates))]
-        return Screened(every, unknown, unknown, self._laws(before, candidates, every))
+        return Screened(every, unknown, unknown, self._laws(before, candidates))
 
     def screened(
         self,
@@ -63,30 +65,33 @@ class Screening:
         unknown: list[Promise | None] = [None] * len(candidates)
         by_law = places is not None and places.by_law
         if not by_law and not self.evidence.costly:
+            laws = self._laws(before, candidates)
             if is_adequate(before):
-                laws = self._laws(before, candidates, range(len(candidates)))
                 return Screened(self._promising(candidates, jobs, before.misfit, laws), unknown, unknown, laws)
-            kept = self._at_likely_places(candidates, jobs, places)
-            return Screened(kept, unknown, unknown, self._laws(before, candidates, kept))
+            others = [k for k in range(len(candidates)) if k not in laws]
+            likely = self._at_likely_places([candidates[k] for k in others], [jobs[k] for k in others], places)
+            best, elsewhere = at_best_places(candidates, laws, before)
+            kept = [*best, *(others[k] for k in likely)]
+            return Screened(kept, unknown, unknown, {k: one for k, one in laws.items() if k in kept}, elsewhere)
         known = None if earlier is None else earlier.likely
-        likely = [k for k, item in enumerate(candidates) if known is None or item.key in known]
+        looked_at = [k for k, item in enumerate(candidates) if known is None or item.key in known]
         promises: list[Promise | None] = [Promise(np.inf)] * len(candidates)
         if self.evidence.costly or places is None:
-            found = self._by_sensitivities(before, [jobs[k] for k in likely])
+            found = self._by_sensitivities(before, [jobs[k] for k in looked_at])
         else:
-            found = self.work.promises_of_laws([candidates[k] for k in likely], places)
-        for k, one in zip(likely, found, strict=True):
+            found = self.work.promises_of_laws([candidates[k] for k in looked_at], places)
+        for k, one in zip(looked_at, found, strict=True):
             promises[k] = one
         kept = most_promising(candidates, [misfit_of(one) for one in promises], before)
         return Screened(kept, promises, unknown if self.evidence.costly else promises)
 
-    def _laws(self, before: Fit, candidates: Sequence[Insertion], which: Sequence[int]) -> dict[int, Promise]:
-        """Return what some insertions leave by linear theory of their laws, of those where that is known."""
+    def _laws(self, before: Fit, candidates: Sequence[Insertion]) -> dict[int, Promise]:
+        """Return what insertions leave by linear theory of their laws, of those where that is known."""
         laws = self.evidence.laws(before)
         if laws is None:
             return {}
-        found = self.work.promises_of_laws([candidates[k] for k in which], laws, self.work.jobs.processes)
-        return {k: one for k, one in zip(which, found, strict=True) if one is not None}
+        found = self.work.promises_of_laws(candidates, laws, self.work.jobs.processes)
+        return {k: one for k, one in enumerate(found) if one is not None}
 
     def _by_sensitivities(self, before: Fit, jobs: Sequence[Job]) -> list[Promise | None]:
         """Return what laws promise by their sensitivities, beside what the diagram without them does."""
@@ -101,6 +106,8 @@ class Screening:
         """Return which insertions are fitted where places are many: each law at its best place, then the best places.
 
         A bound compares places for one law: with parameters far off, a law of two ports has less of it than one of one.
+        It is that of free harmonics, which explain part of what a law elsewhere does: the less there is to explain, the
+        less it tells.
         """
         if places is None:
             return self._promising(candidates, jobs)

@@ -17,6 +17,7 @@ from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass, likely_spots
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
 from rotorsim.diagnosis.search.promises import (
+    MOST_BROKEN,
     MOST_PROMISING,
     NEAR_PROMISE,
     NEARLY,
@@ -113,7 +114,8 @@ class Trials:
                 begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
             others = at_other_places(found, promises, before, begun)
             begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
-            elsewhere = [(found[k], jobs[k]) for k in at_rival_places(found, promises, before, [*begun])]
+            rivals = (*at_rival_places(found, promises, before, [*begun]), *screened.elsewhere)
+            elsewhere = [(found[k], jobs[k]) for k in rivals if k not in begun]
             left = [k for k, one in enumerate(promises) if one is not None and k not in begun]
             untried = [(found[k], jobs[k]) for k in left]
         else:
@@ -236,8 +238,15 @@ class Trials:
         fitted; promised: where something is known of it. is_out: what is not fitted beside the most promising.
         """
         known = [k for k in kept if k in promised and promised[k].misfit < np.inf]
-        order = sorted(known, key=lambda k: promised[k].misfit)[:MOST_PROMISING]
-        first = self._fit([jobs[k] for k in order], Effort(FIRST_EVALUATIONS))
+        by_promise = sorted(known, key=lambda k: promised[k].misfit)
+        order: list[int] = []
+        first: list[Fit] = []
+        for _ in range(MOST_BROKEN):
+            more = by_promise[len(order) : len(order) + MOST_PROMISING]
+            first += self._fit([jobs[k] for k in more], Effort(FIRST_EVALUATIONS))
+            order += more
+            if not more or _is_kept(before, first, promised[more[0]]):
+                break
         others = [k for k in kept if k not in order and not is_out(k, first)]
         most = LAST_EVALUATIONS if promised and any(map(is_adequate, first)) else FIRST_EVALUATIONS
         effort = Effort(most, linear_only=True, beyond=_beyond(before, first), lost=not known)
@@ -268,9 +277,7 @@ class Trials:
                 for k in order:
                     best_of.setdefault(laws[k], k)
                 self._again(jobs, fits, [k for k in best_of.values() if _is_slow(fits[k], slow)], SECOND_EVALUATIONS)
-            order = [
-                k for k in _bymisfit_of(fits) if fits[k].misfit < RIVAL_MISFIT * least and not _is_slow(fits[k], slow)
-            ]
+            order = [k for k in _bymisfit_of(fits) if fits[k].misfit < min(RIVAL_MISFIT * least, slow)]
         else:
             order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < PROMISING * before.misfit]
         self._again(jobs, fits, order, None)
@@ -359,6 +366,12 @@ class Trials:
         pairs = zip(entered[:-1], effects, strict=False)
         kept = (Candidate(new, old.fit if new.name == old.insertion.name else fit) for new, old in pairs)
         return (*kept, Candidate(entered[-1], fit))
+
+
+def _is_kept(before: Fit, fits: Sequence[Fit], promise: Promise) -> bool:
+    """Return whether the best of some fits explains what was promised, as nearly as linear theory tells it."""
+    least = min((fit.misfit for fit in fits if not fit.failure), default=np.inf)
+    return NEAR_PROMISE * (before.misfit - least) >= before.misfit - promise.misfit
 
 
 def _beyond(before: Fit, fits: Sequence[Fit]) -> float:
