@@ -277,7 +277,9 @@ class Trials:
                 for k in order:
                     best_of.setdefault(laws[k], k)
                 self._again(jobs, fits, [k for k in best_of.values() if _is_slow(fits[k], slow)], SECOND_EVALUATIONS)
-            order = [k for k in _bymisfit_of(fits) if fits[k].misfit < min(RIVAL_MISFIT * least, slow)]
+            order = [
+                k for k in _bymisfit_of(fits) if fits[k].misfit < RIVAL_MISFIT * least and not _is_slow(fits[k], slow)
+            ]
         else:
             order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < PROMISING * before.misfit]
         self._again(jobs, fits, order, None)
