@@ -15,12 +15,14 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.linear.eigen import Eigen, eigen
 from rotorsim.linear.eigenmodes import RESONANT, checked_speeds, require_speed, shape_names, whirl
 from rotorsim.linear.linearisation import as_model
-from rotorsim.linear.loop import growing_poles, linear_system
+from rotorsim.linear.loop import growing_poles, systems_at
 from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
 
 UNMATCHED = 0.98  # cost from which two modes are not the same one
+SPEED_FOUND = 1e-9, 1e-12  # absolute [rad/s] and relative, to which the speed of a crossing is found
+MOST_CHORDS = 5
 
 
 @dataclass(frozen=True)
@@ -140,10 +142,10 @@ def campbell(
     require_speed(model, "campbell")
     values = np.unique(checked_speeds(speeds, zero=True))
     names = shape_names(model)
+    system_at = systems_at(model, (), names, parameters, values)
 
     def point(speed: float) -> _Point:
-        given = {**(parameters or {}), "speed": speed}
-        system = linear_system(model, (), names, given, told=False)[0]
+        system = system_at(speed, False)[0]
         return _Point(eigen(system), system, names)
 
     points = []
@@ -222,6 +224,33 @@ def _follow(points: list[_Point]) -> np.ndarray:
     return table[:, np.argsort(frequencies, kind="stable")] if frequencies else table
 
 
+def _near(column: np.ndarray, j: int) -> list[int]:
+    """Return the speeds at which a mode is there, from up to two below an interval to as many above it."""
+    return [i for i in range(max(j - 2, 0), min(j + 4, len(column))) if column[i] >= 0]
+
+
+def _root(gap: Callable[[float], float], known: Sequence[tuple[float, float]], ends: tuple[float, float]) -> float:
+    """Return where a gap vanishes between two ends at which it has different signs.
+
+    An evaluation solves for all modes. From where the polynomial through the known (speed, gap) vanishes, off by some
+    1e-8, chords to the end that is further away: two evaluations. By Brent's method where that does not converge.
+    """
+    x, y = np.array(known).T
+    with np.errstate(all="ignore"):
+        others = ~np.eye(len(y), dtype=bool)
+        weights = [np.prod(-y[row] / (y[k] - y[row])) for k, row in enumerate(others)]
+        speed = float(x @ weights)  # Lagrange's polynomial of the speed over the gap, at a gap of zero
+    for _ in range(MOST_CHORDS):
+        if not ends[0] <= speed <= ends[1]:
+            break
+        here, far = gap(speed), max(ends, key=lambda end: abs(end - speed))
+        change = here * (speed - far) / (here - gap(far)) if here else 0.0
+        if abs(change) <= SPEED_FOUND[0] + SPEED_FOUND[1] * speed:
+            return speed
+        speed -= change
+    return float(brentq(gap, *ends, xtol=SPEED_FOUND[0], rtol=SPEED_FOUND[1]))
+
+
 def _crossings(
     point: Any, speeds: np.ndarray, points: list[_Point], column: np.ndarray, mode: int, order: int
 ) -> list[Crossing]:
@@ -248,7 +277,8 @@ def _crossings(
             at, number = nearest(speed)
             return float(at.eigen.values[number].imag - order * speed)
 
-        speed = float(brentq(gap, speeds[j], speeds[j + 1], xtol=1e-9, rtol=1e-12))
+        known = [(speeds[i], points[i].eigen.values[column[i]].imag - order * speeds[i]) for i in _near(column, j)]
+        speed = _root(gap, known, (float(speeds[j]), float(speeds[j + 1])))
         at, number = nearest(speed)
         value = at.eigen.values[number]
         found.append(

@@ -9,19 +9,18 @@ that its largest value is that of sum p_k(t) exp(i k a) over all t and a; where 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import expm
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.drift import drifting_states
+from rotorsim.linear.exponentials import exponential
 from rotorsim.linear.linear_model import LinearModel, LinearPart
 from rotorsim.linear.linearisation import entry_names, state_names
 from rotorsim.linear.loop import growing_poles, linear_part, sampled_data
 from rotorsim.linear.sampled_data import SampledData
-from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
 from rotorsim.settled.equations import FIRST_SAMPLES, MOST_PERIOD_SAMPLES, RESOLVED
 from rotorsim.settled.forcing import NOISE_MARGIN, PROBE, ZERO_COEFFICIENT, size_beyond
@@ -183,14 +182,14 @@ def _at(
     stability: bool,
 ) -> _At:
     """Return the motion at one speed. Along the period of the samplers: harmonics that change with the phase."""
-    count, c = forcing.outputs.shape
-    steps = [expm(system.flow.A * (length / PARTS)) for length in _lengths(system)]
+    (count, c), n = forcing.outputs.shape, len(system.flow.A)
+    steps = _with_means(system, forcing)
     along = np.zeros((len(steps) * (PARTS + 1), count, c), complex)
     Y = np.zeros((count, c), complex)
-    Y[0], along[:, 0], seeds = _rest(system, forcing)
+    Y[0], along[:, 0], seeds = _rest(system, forcing, steps)
     with np.errstate(all="ignore"):
         for k in (np.flatnonzero(np.any(forcing.rates[1:] != 0, axis=1) | _any_jump(forcing)) + 1).tolist():
-            Y[k], along[:, k] = _turning(system, forcing, k, 1j * k * base, steps)
+            Y[k], along[:, k] = _turning(system, forcing, k, 1j * k * base, [step[:n, :n] for step in steps])
     Y[1:] += forcing.outputs[1:]
     along[:, 1:] += forcing.outputs[1:]
     status = "settled" if np.isfinite(Y[1:]).all() else NO_MOTION
@@ -243,15 +242,12 @@ def _turning(
     return (C @ motion.mean)[..., 0].mean(axis=0), np.array(found)
 
 
-def _rest(system: SampledData, forcing: _Forcing) -> tuple[np.ndarray, np.ndarray, list[int]]:
-    """Return the means (c,) of the outputs, their values at every phase of the samplers, and states that drift.
+def _with_means(system: SampledData, forcing: _Forcing) -> list[np.ndarray]:
+    """Return exp(A h / `PARTS`) of each interval, of a system with two more kinds of states.
 
-    By a system with two more kinds of states: 1, which carries what is constant, and the integrals of the outputs.
+    They are 1, which carries what is constant, and the integrals of the outputs.
     """
     (c, n), b, d = system.flow.C.shape, forcing.rates[0].real, forcing.outputs[0].real
-    pattern = (system.flow.A != 0) | np.any([np.eye(n) != J for J, _ in system.jumps], axis=0)
-    M = system.monodromy
-    seeds, held = drifting_states(M - np.eye(n), pattern, 1.0)
     A = np.block(
         [
             [system.flow.A, b[:, None], np.zeros((n, c))],
@@ -259,21 +255,31 @@ def _rest(system: SampledData, forcing: _Forcing) -> tuple[np.ndarray, np.ndarra
             [system.flow.C, d[:, None], np.zeros((c, c))],
         ]
     )
-    jumps = []
-    for (J, _), K in zip(system.jumps, forcing.jumps, strict=True):
-        whole = np.eye(len(A))
+    made = {f"{length:.9e}": length for length in _lengths(system)}
+    known = {key: exponential(A, length / PARTS) for key, length in made.items()}
+    return [known[f"{length:.9e}"] for length in _lengths(system)]
+
+
+def _rest(
+    system: SampledData, forcing: _Forcing, steps: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, list[int]]:
+    """Return the means (c,) of the outputs, their values at every phase of the samplers, and states that drift."""
+    (c, n), d = system.flow.C.shape, forcing.outputs[0].real
+    pattern = (system.flow.A != 0) | np.any([np.eye(n) != J for J, _ in system.jumps], axis=0)
+    M, turn, jumps = system.monodromy, np.eye(n + 1 + c), []
+    seeds, held = drifting_states(M - np.eye(n), pattern, 1.0)
+    for (J, _), K, step in zip(system.jumps, forcing.jumps, steps, strict=True):
+        whole = np.eye(n + 1 + c)
         whole[:n, :n], whole[:n, n] = J, K[0].real
-        jumps.append((whole, np.zeros((len(A), 0))))
-    larger = replace(
-        system, flow=StateSpace(A, np.zeros((len(A), 0)), np.zeros((0, len(A))), np.zeros((0, 0))), jumps=tuple(jumps)
-    )
+        jumps.append(whole)
+        turn = np.linalg.matrix_power(step, PARTS) @ whole @ turn
     free = np.setdiff1d(np.arange(n), held)
-    state = np.zeros(len(A))
+    state = np.zeros(n + 1 + c)
     state[n] = 1.0
-    state[free] = np.linalg.solve(np.eye(len(free)) - M[np.ix_(free, free)], larger.monodromy[free, n])
+    state[free] = np.linalg.solve(np.eye(len(free)) - M[np.ix_(free, free)], turn[free, n])
     found = []
-    for length, (J, _) in zip(_lengths(larger), larger.jumps, strict=True):
-        state, step = J @ state, expm(A * (length / PARTS))
+    for jump, step in zip(jumps, steps, strict=True):
+        state = jump @ state
         for part in range(PARTS + 1):
             found.append(system.flow.C @ state[:n] + d)
             state = step @ state if part < PARTS else state
