@@ -180,7 +180,7 @@ class SampledData:
             after.append(_times(J, before[-1]) + k * now)
             right = right + (after[-1] - before[-1]) / (now * self.period)
             before.append(_times(P, after[-1] - R * now) + R * then)
-        return SettledMotion(s, R, tuple(after), flow.solved(right))
+        return SettledMotion(s, R, before[0], tuple(after), flow.solved(right))
 
 
 def _times(real: np.ndarray, X: np.ndarray) -> np.ndarray:
@@ -200,10 +200,12 @@ class SettledMotion:
     """s(t) = R exp(s t) + exp(A (t - t_k)) (after[k] - R exp(s t_k)) behind the hit at t_k; (F, n, m) each.
 
     mean: of s(t) exp(-s t) over a period, which is the component at s. Those at s + 2 pi i j / T are its images.
+    before: s(t) before the hit at 0.
     """
 
     s: np.ndarray
     R: np.ndarray
+    before: np.ndarray
     after: tuple[np.ndarray, ...]
     mean: np.ndarray
 
