@@ -17,7 +17,7 @@ from itertools import product
 import numpy as np
 
 from rotorsim.acceptance.conditions import HIGHEST_SHARE, Conditions, campbell_of
-from rotorsim.acceptance.criterion import API_684, MET, NOT_MET, Criterion, Part, judged, not_judged
+from rotorsim.acceptance.criterion import API_684, MET, NOT_MET, UNSURE, Criterion, Part, judged, not_judged
 from rotorsim.acceptance.limits import ANALYSED, clearance_scale, residual_unbalance, vibration_limit
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
@@ -296,8 +296,10 @@ def _not_excited(model: Model, found: UnbalanceCases, given: Conditions) -> Iter
             continue
         told.append((one.speed * (1 - BOTH_WHIRLS), one.speed * (1 + BOTH_WHIRLS)))
         af = 1 / (2 * one.damping_ratio)
-        words = f"mode of {one.frequency_hz:.4g} Hz, by its damping ratio: no plane excites it"
-        yield _separation(one.speed, af, separation_margin(one.speed, af, given.lowest, given.highest), words)
+        words = f"mode of {one.frequency_hz:.4g} Hz{one.modulo_text}, by its damping ratio: no plane excites it"
+        own = _separation(one.speed, af, separation_margin(one.speed, af, given.lowest, given.highest), words)
+        unsure = not np.isnan(one.modulo) and own.verdict == MET  # another image may be met elsewhere
+        yield replace(own, stated=UNSURE) if unsure else own
 
 
 def rotor_mass(diagram: Diagram, block: str) -> float:

@@ -29,7 +29,9 @@ MOST_CHORDS = 5
 class Crossing:
     """Where the damped frequency of ``mode`` (from 1) equals ``order`` times the speed: a critical speed (order 1).
 
-    stable: whether no pole of the machine grows at this speed; a settled motion is never reached where one does.
+    stable: whether no pole of the machine grows at this speed; a settled motion is never reached where one does. modulo
+    [Hz]: with samplers, the rate modulo which the frequency is known, so that the crossing may be another image's; NaN
+    where it is sure.
     """
 
     order: int
@@ -39,6 +41,12 @@ class Crossing:
     whirl: str
     damping_ratio: float
     stable: bool = True
+    modulo: float = np.nan
+
+    @property
+    def modulo_text(self) -> str:
+        """Say what the frequency is known modulo: " modulo 250 Hz"; nothing where it is sure."""
+        return "" if np.isnan(self.modulo) else f" modulo {self.modulo:.6g} Hz"
 
 
 @dataclass(frozen=True, repr=False)
@@ -290,6 +298,7 @@ def _crossings(
                 whirl=at.whirl[number],
                 damping_ratio=float(-value.real / abs(value)),
                 stable=at.stable,
+                modulo=float(at.eigen.modulo[number]),
             )
         )
     return found
