@@ -101,7 +101,7 @@ def _over_speed(result: Campbell, given: Conditions) -> Criterion:
 def _twice(result: Campbell, given: Conditions) -> list[str]:
     """Return where 2X meets a mode within the operating speeds."""
     return [
-        f"2X meets a {one.whirl} mode of {one.frequency_hz:.4g} Hz, log decrement "
+        f"2X meets a {one.whirl} mode of {one.frequency_hz:.4g} Hz{one.modulo_text}, log decrement "
         f"{2 * np.pi * one.damping_ratio / np.sqrt(1 - one.damping_ratio**2):.3g}, at {one.speed * 30 / np.pi:.5g} rpm"
         for one in result.crossings
         if one.order == 2 and given.lowest <= one.speed <= given.highest and one.damping_ratio < WEAKLY_DAMPED

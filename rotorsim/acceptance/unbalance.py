@@ -17,12 +17,12 @@ from itertools import product
 import numpy as np
 
 from rotorsim.acceptance.conditions import HIGHEST_SHARE, Conditions, campbell_of
-from rotorsim.acceptance.criterion import API_684, MET, NOT_MET, Criterion, Part, judged, not_judged
+from rotorsim.acceptance.criterion import API_684, MET, NOT_MET, UNSURE, Criterion, Part, judged, not_judged
 from rotorsim.acceptance.limits import ANALYSED, clearance_scale, residual_unbalance, vibration_limit
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.loop import linear_system
-from rotorsim.linear.unbalance_response import UnbalanceResponse, plane_entries, unbalance_response
+from rotorsim.linear.unbalance_response import UnbalanceResponse, between, plane_entries, unbalance_response
 from rotorsim.model.compiled import Model
 from rotorsim.signals.orders.resonance import RESPONSIVE, Margin, Peak, peak_in, separation_margin
 
@@ -104,11 +104,13 @@ def _cases(model: Model, given: Conditions) -> UnbalanceCases:
     places = [*given.probes, *(place for place in given.clearance if place not in given.probes)]
     ends = LOWEST_SHARE * given.trip, HIGHEST_SHARE * given.trip
     speeds = _speeds(model, ends, given)
-    response = unbalance_response(model, given.planes, places, speeds=speeds)
+    response = unbalance_response(model, given.planes, places, speeds=speeds, stability=False)
     cases = _distributions(given.planes, amounts)
     near = _near_maxima(speeds, np.stack([response.major_axis(one) for one in cases.values()], axis=-1), ends)
     if len(near):
-        response = _merged(response, unbalance_response(model, given.planes, places, speeds=near))
+        response = _merged(response, unbalance_response(model, given.planes, places, speeds=near, stability=False))
+    map_of = campbell_of(model, given)  # which looks at the poles
+    response = replace(response, stable=between(response.speeds, map_of.speeds, map_of.stable))
     count = len(given.probes)
     curves = {name: response.major_axis(one)[:, :count] for name, one in cases.items()}
     size = np.stack([response.major_axis(one) for one in np.diag(amounts)], axis=-1)
@@ -209,8 +211,7 @@ def _merged(one: UnbalanceResponse, other: UnbalanceResponse) -> UnbalanceRespon
     speeds = np.concatenate([one.speeds, other.speeds])
     order = np.argsort(speeds)
     response = np.concatenate([one.response, other.response])[order]
-    stable = np.concatenate([one.stable, other.stable])[order]
-    return replace(one, speeds=speeds[order], response=response, stable=stable)
+    return replace(one, speeds=speeds[order], response=response)
 
 
 def _critical(
@@ -295,8 +296,10 @@ def _not_excited(model: Model, found: UnbalanceCases, given: Conditions) -> Iter
             continue
         told.append((one.speed * (1 - BOTH_WHIRLS), one.speed * (1 + BOTH_WHIRLS)))
         af = 1 / (2 * one.damping_ratio)
-        words = f"mode of {one.frequency_hz:.4g} Hz, by its damping ratio: no plane excites it"
-        yield _separation(one.speed, af, separation_margin(one.speed, af, given.lowest, given.highest), words)
+        words = f"mode of {one.frequency_hz:.4g} Hz{one.modulo_text}, by its damping ratio: no plane excites it"
+        own = _separation(one.speed, af, separation_margin(one.speed, af, given.lowest, given.highest), words)
+        unsure = not np.isnan(one.modulo) and own.verdict == MET  # another image may be met elsewhere
+        yield replace(own, stated=UNSURE) if unsure else own
 
 
 def rotor_mass(diagram: Diagram, block: str) -> float:

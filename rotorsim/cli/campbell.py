@@ -72,6 +72,7 @@ def command(chosen: Chosen, speeds: str, orders: str, plot: str | None, as_json:
             "whirl": c.whirl,
             "damping_ratio": c.damping_ratio,
             "stable": c.stable,
+            "frequency_modulo_hz": c.modulo,
         }
         for c in result.crossings
     ]
@@ -108,7 +109,7 @@ def _text(result: Campbell) -> str:
         (
             f"{c.order}X",
             f"{rpm(c.speed):.2f}",
-            f"{c.frequency_hz:.4f}",
+            f"{c.frequency_hz:.4f}{c.modulo_text.removesuffix(' Hz')}",
             f"{c.damping_ratio:.5f}",
             c.whirl,
             *machine[bool(c.stable)],

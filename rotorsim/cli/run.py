@@ -62,7 +62,9 @@ class Output:
     type=click.Choice(["estimated", "diagram"]),
     help="States at the first sample of --input: those that leave least (default), or those of the diagram.",
 )
-@click.option("--settle", is_flag=True, help="Start in the settled motion, found by harmonic balance: no transient.")
+@click.option(
+    "--settle", is_flag=True, help="Start in the settled motion, samplers and what they hold too: no transient."
+)
 @click.option("--no-compiler", is_flag=True, help="Use CasADi's virtual machine instead of compiled C (slower).")
 @progress_option
 @amplitude_option

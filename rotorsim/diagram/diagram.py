@@ -67,10 +67,11 @@ class Wire:
 
 @dataclass
 class SubPorts:
-    """What the ports of a sub-diagram stand for inside."""
+    """What the ports of a sub-diagram stand for inside; follows: its parameters -> those outside that they follow."""
 
     inputs: dict[str, list[Endpoint]] = field(default_factory=dict)
     outputs: dict[str, Endpoint] = field(default_factory=dict)
+    follows: dict[str, str] = field(default_factory=dict)
 
 
 class _Values(dict[str, np.ndarray]):

@@ -15,19 +15,23 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.linear.eigen import Eigen, eigen
 from rotorsim.linear.eigenmodes import RESONANT, checked_speeds, require_speed, shape_names, whirl
 from rotorsim.linear.linearisation import as_model
-from rotorsim.linear.loop import growing_poles, linear_system
+from rotorsim.linear.loop import growing_poles, systems_at
 from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
 
 UNMATCHED = 0.98  # cost from which two modes are not the same one
+SPEED_FOUND = 1e-9, 1e-12  # absolute [rad/s] and relative, to which the speed of a crossing is found
+MOST_CHORDS = 5
 
 
 @dataclass(frozen=True)
 class Crossing:
     """Where the damped frequency of ``mode`` (from 1) equals ``order`` times the speed: a critical speed (order 1).
 
-    stable: whether no pole of the machine grows at this speed; a settled motion is never reached where one does.
+    stable: whether no pole of the machine grows at this speed; a settled motion is never reached where one does. modulo
+    [Hz]: with samplers, the rate modulo which the frequency is known, so that the crossing may be another image's; NaN
+    where it is sure.
     """
 
     order: int
@@ -37,6 +41,12 @@ class Crossing:
     whirl: str
     damping_ratio: float
     stable: bool = True
+    modulo: float = np.nan
+
+    @property
+    def modulo_text(self) -> str:
+        """Say what the frequency is known modulo: " modulo 250 Hz"; nothing where it is sure."""
+        return "" if np.isnan(self.modulo) else f" modulo {self.modulo:.6g} Hz"
 
 
 @dataclass(frozen=True, repr=False)
@@ -140,10 +150,10 @@ def campbell(
     require_speed(model, "campbell")
     values = np.unique(checked_speeds(speeds, zero=True))
     names = shape_names(model)
+    system_at = systems_at(model, (), names, parameters, values)
 
     def point(speed: float) -> _Point:
-        given = {**(parameters or {}), "speed": speed}
-        system = linear_system(model, (), names, given, told=False)[0]
+        system = system_at(speed, False)[0]
         return _Point(eigen(system), system, names)
 
     points = []
@@ -222,6 +232,33 @@ def _follow(points: list[_Point]) -> np.ndarray:
     return table[:, np.argsort(frequencies, kind="stable")] if frequencies else table
 
 
+def _near(column: np.ndarray, j: int) -> list[int]:
+    """Return the speeds at which a mode is there, from up to two below an interval to as many above it."""
+    return [i for i in range(max(j - 2, 0), min(j + 4, len(column))) if column[i] >= 0]
+
+
+def _root(gap: Callable[[float], float], known: Sequence[tuple[float, float]], ends: tuple[float, float]) -> float:
+    """Return where a gap vanishes between two ends at which it has different signs.
+
+    An evaluation solves for all modes. From where the polynomial through the known (speed, gap) vanishes, off by some
+    1e-8, chords to the end that is further away: two evaluations. By Brent's method where that does not converge.
+    """
+    x, y = np.array(known).T
+    with np.errstate(all="ignore"):
+        others = ~np.eye(len(y), dtype=bool)
+        weights = [np.prod(-y[row] / (y[k] - y[row])) for k, row in enumerate(others)]
+        speed = float(x @ weights)  # Lagrange's polynomial of the speed over the gap, at a gap of zero
+    for _ in range(MOST_CHORDS):
+        if not ends[0] <= speed <= ends[1]:
+            break
+        here, far = gap(speed), max(ends, key=lambda end: abs(end - speed))
+        change = here * (speed - far) / (here - gap(far)) if here else 0.0
+        if abs(change) <= SPEED_FOUND[0] + SPEED_FOUND[1] * speed:
+            return speed
+        speed -= change
+    return float(brentq(gap, *ends, xtol=SPEED_FOUND[0], rtol=SPEED_FOUND[1]))
+
+
 def _crossings(
     point: Any, speeds: np.ndarray, points: list[_Point], column: np.ndarray, mode: int, order: int
 ) -> list[Crossing]:
@@ -248,7 +285,8 @@ def _crossings(
             at, number = nearest(speed)
             return float(at.eigen.values[number].imag - order * speed)
 
-        speed = float(brentq(gap, speeds[j], speeds[j + 1], xtol=1e-9, rtol=1e-12))
+        known = [(speeds[i], points[i].eigen.values[column[i]].imag - order * speeds[i]) for i in _near(column, j)]
+        speed = _root(gap, known, (float(speeds[j]), float(speeds[j + 1])))
         at, number = nearest(speed)
         value = at.eigen.values[number]
         found.append(
@@ -260,6 +298,7 @@ def _crossings(
                 whirl=at.whirl[number],
                 damping_ratio=float(-value.real / abs(value)),
                 stable=at.stable,
+                modulo=float(at.eigen.modulo[number]),
             )
         )
     return found

@@ -9,6 +9,8 @@ from rotorsim.model.compiled import Model
 
 SINGULAR_STATES = 1e-14  # reciprocal condition number below which a group of states is taken to have a pole at zero
 
+NO_SHIFT = 1e-8  # cosine between what may shift and what stays, below which nothing says by how much
+
 
 def drifting_states(
     A: np.ndarray, pattern: np.ndarray | None = None, about: float = 0.0
@@ -72,22 +74,30 @@ def drifting_entries(model: Model, A: np.ndarray) -> list[str]:
     return named
 
 
-def shifts(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def shifts(A: np.ndarray, about: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Return bases (n, k) of the null spaces of A (n, n): of A N = 0, and of W' A = 0, orthonormal but for units.
 
-    A motion shifted by N c is a motion as well; W' x is what a motion does not change but by what drives it.
+    A motion shifted by N c is a motion as well; W' x is what a motion does not change but by what drives it. about: as
+    in `eigenvectors`.
     """
     from scipy.linalg import matrix_balance, svd  # as in `eigenvectors`
 
     if not len(A):
         return A, A
     balanced, (scale, _) = matrix_balance(A, permute=False, separate=True)
-    size = np.abs(balanced).max(axis=1)
+    size = np.abs(balanced + about * np.eye(len(A))).max(axis=1)
     size[size == 0] = 1.0
     left, sizes, right = svd(balanced / size[:, None])
     k = int((sizes <= SINGULAR_STATES * sizes[0]).sum())
     kept = np.linalg.qr(left[:, len(A) - k :] / size[:, None])[0]
     return right[len(A) - k :].T * scale[:, None], kept / scale[:, None]
+
+
+def shift_of(y: np.ndarray, N: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """Return N c (n,), of `shifts`, with W' N c = y; without what a free body would need, of which nothing tells it."""
+    left, cosines, right = np.linalg.svd(W.T @ N)
+    told = cosines > NO_SHIFT
+    return np.asarray(N @ (right[told].T @ (left[:, told].T @ y / cosines[told])))
 
 
 def eigenvectors(A: np.ndarray, about: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

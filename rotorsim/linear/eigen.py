@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import ceil, pi
 
 import numpy as np
-from scipy.linalg import expm
 
 from rotorsim.linear.drift import eigenvectors
 from rotorsim.linear.sampled_data import NO_MULTIPLIER, SampledData
@@ -122,7 +121,7 @@ def _images(system: SampledData, s: np.ndarray, v: np.ndarray) -> tuple[np.ndarr
     for start, length, P, (J, _) in zip(system.times, system.lengths, system.transitions, system.jumps, strict=True):
         state, key = J @ state, f"{length:.9e}"
         if key not in seen:
-            step, rows = expm(system.flow.A * length / parts), [system.flow.C]
+            step, rows = system.exponential(float(length) / parts), [system.flow.C]
             for _ in range(parts):
                 rows.append(rows[-1] @ step)
             seen[key] = np.array(rows)

@@ -6,6 +6,7 @@ Discrete states stand behind the continuous ones in x, with zero rate.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
@@ -70,16 +71,30 @@ class LinearPart:
         trace = part.trace
         self.part = part
         z, u = (_column(trace.z, places) for places in (range(n_z), range(n_z, trace.z.numel())))
-        s = ca.vertcat(trace.x, z)
-        y = ca.vertcat(*[part.expression(name) for name in outputs]) if outputs else ca.SX(0, 1)
+        self._by = ca.vertcat(trace.x, z), u
         rate = ca.vertcat(trace.xdot, ca.SX.zeros(n_z, 1))
         after = ca.vertcat(trace.x, _column(trace.z_next, range(n_z)))
-        point = [trace.t, trace.x, trace.z, trace.p]
-        blocks = [jacobian(e, by) for e in (rate, y) for by in (s, u)]
-        jumps = [jacobian(after, by) for by in (s, u)]
-        self.exact = not any(ca.depends_on(J, ca.vertcat(trace.t, s, u)) for J in (*blocks, *jumps))
-        self._flow = [MatrixFunction(point, J) for J in blocks]
-        self._jump = [MatrixFunction([*point, trace.w, trace.hit], J) for J in jumps]
+        self._point = [trace.t, trace.x, trace.z, trace.p]
+        self._rates = [jacobian(rate, by) for by in self._by]
+        self._jumps = [jacobian(after, by) for by in self._by]
+        self._rate_functions = [MatrixFunction(self._point, J) for J in self._rates]
+        self._jump = [MatrixFunction([*self._point, trace.w, trace.hit], J) for J in self._jumps]
+        self._driven = [rate, after]
+        self._read(outputs)
+
+    def reading(self, outputs: Sequence[str]) -> LinearPart:
+        """Return it with other outputs; its rates, which take long to derive, are shared."""
+        other = copy(self)
+        other._read(outputs)
+        return other
+
+    def _read(self, outputs: Sequence[str]) -> None:
+        trace, (s, u), (rate, after) = self.part.trace, self._by, self._driven
+        y = ca.vertcat(*[self.part.expression(name) for name in outputs]) if outputs else ca.SX(0, 1)
+        seen = [jacobian(y, by) for by in self._by]
+        varying = ca.vertcat(trace.t, s, u)
+        self.exact = not any(ca.depends_on(J, varying) for J in (*self._rates, *seen, *self._jumps))
+        self._flow = [*self._rate_functions, *(MatrixFunction(self._point, J) for J in seen)]
         still = [ca.SX.zeros(*one.shape) for one in (trace.x, trace.z, trace.w)]
         driving = ca.substitute([rate, y, after], [trace.x, trace.z, trace.w], still)
         self._driving = [MatrixFunction([trace.t, trace.p], column) for column in driving[:2]]

@@ -16,8 +16,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 
+from rotorsim.linear.exponentials import Exponentials, exponential
 from rotorsim.linear.linear_model import LinearModel, common_period
 from rotorsim.linear.state_space import MANY, Resolvent, StateSpace
 
@@ -30,7 +30,7 @@ NO_MULTIPLIER = 1e-12  # a multiplier below is zero: its state forgets all withi
 class SampledData:
     """A linear system between hits, and the jumps J (n, n), K (n, m) at times from 0 to below a common period [s].
 
-    shortest: period of the fastest sampler [s].
+    shortest: period of the fastest sampler [s]. exponentials: of A, shared with other speeds.
     """
 
     flow: StateSpace
@@ -38,26 +38,33 @@ class SampledData:
     jumps: tuple[tuple[np.ndarray, np.ndarray], ...]
     period: float
     shortest: float = np.inf
+    exponentials: Exponentials | None = None
 
     @classmethod
-    def of(cls, model: LinearModel) -> SampledData | None:
+    def of(cls, model: LinearModel, exponentials: Exponentials | None = None) -> SampledData | None:
         """Return that of a linear model with samplers; None without a common period of at most 10000 hits."""
         if (period := common_period(model.periods)) is None:
             return None
         times = model.period_hits()
         flow = StateSpace(model.A, model.B, model.C, model.D)
-        return cls(flow, tuple(times), tuple(model.at_hit(t) for t in times), period, min(model.periods))
+        jumps = tuple(model.at_hit(t) for t in times)
+        return cls(flow, tuple(times), jumps, period, min(model.periods), exponentials)
 
     @cached_property
     def lengths(self) -> np.ndarray:
         """Lengths of the intervals behind the hits [s]."""
         return np.diff([*self.times, self.period])
 
+    def exponential(self, h: float) -> np.ndarray:
+        """Return exp(A h), by which s changes without a hit within h [s]."""
+        A = self.flow.A
+        return exponential(A, h) if self.exponentials is None else self.exponentials.of(A, h)
+
     @cached_property
     def transitions(self) -> tuple[np.ndarray, ...]:
         """exp(A h) of these intervals, each length once."""
         known = {float(f"{h:.9e}"): h for h in self.lengths}
-        made = {key: expm(self.flow.A * h) for key, h in known.items()}
+        made = {key: self.exponential(float(h)) for key, h in known.items()}
         return tuple(made[float(f"{h:.9e}")] for h in self.lengths)
 
     @cached_property
@@ -80,7 +87,7 @@ class SampledData:
         """Return it with what arrives at some wires amplified, see `StateSpace.amplified`."""
         F = self.flow.amplification(gain, wires)
         jumps = tuple((J + K @ F, K[:, :0]) for J, K in self.jumps)
-        return replace(self, flow=self.flow.amplified(gain, wires), jumps=jumps)
+        return replace(self, flow=self.flow.amplified(gain, wires), jumps=jumps, exponentials=None)
 
     def with_inputs(self, places: Sequence[int]) -> SampledData:
         """Return it with some of its inputs."""
@@ -94,7 +101,8 @@ class SampledData:
     def opened(self) -> SampledData:
         """Return it with the loops of the first outputs open, see `StateSpace.opened`."""
         F, G = self.flow.opening()
-        return replace(self, flow=self.flow.opened(), jumps=tuple((J + K @ F, K @ G) for J, K in self.jumps))
+        jumps = tuple((J + K @ F, K @ G) for J, K in self.jumps)
+        return replace(self, flow=self.flow.opened(), jumps=jumps, exponentials=None)
 
     def response(self, frequencies: Any) -> np.ndarray:
         """Return the component of y at f for inputs exp(i 2 pi f t), f [Hz] not 0, shape (len(f), k, m).
@@ -116,11 +124,12 @@ class SampledData:
 
     def clear_of_poles(self, s: complex) -> np.ndarray:
         """Return s alone, or at a pole of the flow places around it: over these what is analytic there is averaged."""
-        return _circle(np.array([s]))[0] if self._at_a_pole(np.array([s]))[0] else np.array([s])
+        at = np.array([s])
+        return _circle(at)[0] if self._at_a_pole(at, self._solvers(at).flow)[0] else at
 
-    def _at_a_pole(self, s: np.ndarray, flow: _Many | _Few | None = None) -> np.ndarray:
+    def _at_a_pole(self, s: np.ndarray, flow: _Solver | None = None) -> np.ndarray:
         """Return which s (F,) are at a pole of the flow. Matrices that are far from singular have none there."""
-        if isinstance(flow, _Few) and flow.conditions().min(initial=1.0) > AT_A_POLE:
+        if isinstance(flow, _Few) and flow.away().min(initial=np.inf) > AT_A_POLE:
             return np.zeros(len(s), bool)
         return np.asarray(np.abs(s[:, None] - self._flow_poles).min(axis=1, initial=np.inf) < AT_A_POLE * np.abs(s))
 
@@ -129,22 +138,14 @@ class SampledData:
         return self.flow.poles()
 
     @cached_property
-    def _resolvents(self) -> tuple[Resolvent, Resolvent]:
-        """(s - A)^-1 and (z - M)^-1 at many s and z."""
-        return Resolvent(self.flow.A), Resolvent(self.monodromy)
-
-    @cached_property
     def _apart(self) -> tuple[_Apart, _Apart]:
         """A and M."""
         return _Apart.of(self.flow.A), _Apart.of(self.monodromy)
 
     def _solvers(self, s: np.ndarray) -> _Solvers:
         """Return what solves (s - A) X = B and (exp(s T) - M) X = B, by decompositions once there are many s."""
-        z = np.exp(s * self.period)
-        if len(s) >= MANY:
-            flow, turn = self._resolvents
-            return _Solvers(_Many(flow, s), _Many(turn, z))
-        return _Solvers(*(_Few(one, at) for one, at in zip(self._apart, (s, z), strict=True)))
+        kind = _Many if len(s) >= MANY else _Few
+        return _Solvers(*(kind(one, at) for one, at in zip(self._apart, (s, np.exp(s * self.period)), strict=True)))
 
     def _in_parts(self, s: np.ndarray, solvers: _Solvers) -> np.ndarray:
         parts = 1 + len(s) * self.flow.B.size // 2_000_000
@@ -179,7 +180,7 @@ class SampledData:
             after.append(_times(J, before[-1]) + k * now)
             right = right + (after[-1] - before[-1]) / (now * self.period)
             before.append(_times(P, after[-1] - R * now) + R * then)
-        return SettledMotion(s, R, tuple(after), flow.solved(right))
+        return SettledMotion(s, R, before[0], tuple(after), flow.solved(right))
 
 
 def _times(real: np.ndarray, X: np.ndarray) -> np.ndarray:
@@ -199,25 +200,18 @@ class SettledMotion:
     """s(t) = R exp(s t) + exp(A (t - t_k)) (after[k] - R exp(s t_k)) behind the hit at t_k; (F, n, m) each.
 
     mean: of s(t) exp(-s t) over a period, which is the component at s. Those at s + 2 pi i j / T are its images.
+    before: s(t) before the hit at 0.
     """
 
     s: np.ndarray
     R: np.ndarray
+    before: np.ndarray
     after: tuple[np.ndarray, ...]
     mean: np.ndarray
 
 
-class _Many(NamedTuple):
-    """(s - A)^-1 by one decomposition of A."""
-
-    resolvent: Resolvent
-    s: np.ndarray
-
-    def solved(self, right: np.ndarray) -> np.ndarray:
-        return self.resolvent.times(right if len(right) > 1 else right[0], self.s)
-
-
-class _Apart(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Apart:
     """A matrix, its states that are held (A_j = 0) apart; the others balanced: moving = scale^-1 A scale, and driven by
     the held ones."""
 
@@ -235,38 +229,70 @@ class _Apart(NamedTuple):
         balanced, (scale, _) = matrix_balance(A[np.ix_(moves, moves)], permute=False, separate=True)
         return cls(np.flatnonzero(moves), np.flatnonzero(~moves), balanced, scale[:, None], A[np.ix_(moves, ~moves)])
 
+    @cached_property
+    def resolvent(self) -> Resolvent:
+        """(s - moving)^-1 at many s."""
+        return Resolvent(self.moving)
 
-class _Few:
-    """(s - A)^-1 by triangular factors at each s."""
+
+class _Solver:
+    """(s - A)^-1 at each s."""
+
+    def __init__(self, A: _Apart, s: np.ndarray) -> None:
+        self._A, self._s = A, s[:, None, None]
+
+    def solved(self, right: np.ndarray) -> np.ndarray:
+        """Return (s - A)^-1 right, (F, n, m); NaN on a pole."""
+        found, A = np.zeros((len(self._s), *right.shape[1:]), complex), self._A
+        columns = right[:, A.places]
+        if right[:, A.held].any():  # else what is constant stays so
+            found[:, A.held] = right[:, A.held] / self._s
+            columns = columns + A.driven @ found[:, A.held]
+        found[:, A.places] = self._moving(columns / A.scale) * A.scale
+        return found
+
+    def _moving(self, columns: np.ndarray) -> np.ndarray:
+        raise NotImplementedError
+
+
+class _Many(_Solver):
+    """By one decomposition of A."""
+
+    def _moving(self, columns: np.ndarray) -> np.ndarray:
+        return self._A.resolvent.times(columns if len(columns) > 1 else columns[0], self._s.ravel())
+
+
+class _Few(_Solver):
+    """By triangular factors at each s."""
 
     def __init__(self, A: _Apart, s: np.ndarray) -> None:
         from scipy.linalg.lapack import zgetrf
 
-        self._A, self._s = A, s[:, None, None]
-        matrices = self._s * np.eye(len(A.moving)) - A.moving
-        self._norms = np.abs(matrices).sum(axis=1).max(axis=1, initial=0.0)
-        self._factors = [zgetrf(np.asfortranarray(matrix), overwrite_a=1) for matrix in matrices]
+        super().__init__(A, s)
+        self._factors = []
+        for at in s:
+            matrix = np.array(-A.moving, complex, order="F")
+            np.fill_diagonal(matrix, matrix.diagonal() + at)
+            self._factors.append(zgetrf(matrix, overwrite_a=1))
 
-    def solved(self, right: np.ndarray) -> np.ndarray:
-        """Return (s - A)^-1 right, (F, n, m); NaN on a pole."""
+    def _moving(self, columns: np.ndarray) -> np.ndarray:
         from scipy.linalg.lapack import zgetrs
 
-        right = np.broadcast_to(right, (len(self._s), *right.shape[1:]))
-        found, A = np.empty(right.shape, complex), self._A
-        found[:, A.held] = right[:, A.held] / self._s
-        columns = (right[:, A.places] + A.driven @ found[:, A.held]) / A.scale
+        columns = np.broadcast_to(columns, (len(self._factors), *columns.shape[1:]))
+        found = np.full(columns.shape, np.nan, complex)
         for k, (lu, pivots, info) in enumerate(self._factors):
-            found[k, A.places] = np.nan if info else zgetrs(lu, pivots, columns[k])[0] * A.scale
+            if not info:
+                found[k] = zgetrs(lu, pivots, columns[k])[0]
         return found
 
-    def conditions(self) -> np.ndarray:
-        """Return reciprocal condition numbers: below the relative distance of s to a pole, if s is in the matrix."""
+    def away(self) -> np.ndarray:
+        """Return 1 / |(s - A)^-1| of each s, in parts of |s|: from any pole it is at least as far away."""
         from scipy.linalg.lapack import zgecon
 
-        factors = zip(self._factors, self._norms, strict=True)
-        return np.array([0.0 if info else zgecon(lu, norm)[0] for (lu, _, info), norm in factors])
+        factors = zip(self._factors, np.abs(self._s.ravel()), strict=True)
+        return np.array([0.0 if info else zgecon(lu, size)[0] for (lu, _, info), size in factors])
 
 
 class _Solvers(NamedTuple):
-    flow: _Many | _Few
-    turn: _Many | _Few
+    flow: _Solver
+    turn: _Solver

@@ -99,16 +99,19 @@ class Resolvent:
 
     def times(self, B: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Return the solutions X (len(s), n, m) of (s I - A) X = B, B (n, m) or (len(s), n, m); NaN on a pole."""
-        n = len(self._A)
-        right = np.broadcast_to(np.swapaxes(B, -1, -2) / self._scale, (len(s), B.shape[-1], n))  # rows are columns of B
+        right = np.swapaxes(B, -1, -2).astype(complex, copy=False) / self._scale  # rows are columns of B
         found = self._solved(s, right)
-        left = right - s[:, None, None] * found + _times(found, self._A.T)
+        left = right - s[:, None, None] * found
+        for part in ("real", "imag"):  # as real products: half of the work
+            getattr(left, part)[:] += _times(np.ascontiguousarray(getattr(found, part)), self._A.T)
         return np.swapaxes((found + self._solved(s, left)) * self._scale, 1, 2)
 
     def _solved(self, s: np.ndarray, rows: np.ndarray) -> np.ndarray:
         from scipy.linalg.lapack import ztrtrs
 
         found = _times(rows, self._conjugate)
+        if rows.ndim == 2:
+            found = np.repeat(found[None], len(s), 0)
         diagonal = self._triangle.reshape(-1, order="F")[:: len(self._poles) + 1]  # a view
         for k, at in enumerate(s):
             diagonal[:] = at - self._poles
@@ -119,7 +122,7 @@ class Resolvent:
 
 
 def _times(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Return rows (F, m, n) times a matrix (n, n), as one product."""
+    """Return rows (.., m, n) times a matrix (n, n), as one product."""
     return np.asarray(rows.reshape(-1, len(matrix)) @ matrix).reshape(rows.shape)
 
 

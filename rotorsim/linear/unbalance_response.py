@@ -12,7 +12,7 @@ from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.linear.eigenmodes import checked_speeds, require_speed
 from rotorsim.linear.linearisation import as_model, entry_names, flat_names, provenance
-from rotorsim.linear.loop import growing_poles, linear_system
+from rotorsim.linear.loop import growing_poles, systems_at
 from rotorsim.model.compiled import Model
 
 STABILITY_SPEEDS = 41  # at which poles are looked at for one that grows
@@ -52,11 +52,12 @@ def unbalance_response(
     *,
     speeds: Sequence[float | str] | np.ndarray,
     parameters: Mapping[str, Any] | None = None,
+    stability: bool = True,
 ) -> UnbalanceResponse:
     """Return the settled response of two-axis signals to unbalance in each plane, about the operating point.
 
     f = u W^2 (1, -i) exp(i W t) in (x, y), at planes such as ``rotor.force[4]``; sampled controllers exactly, at the
-    frequency of the speed. What else drives the diagram is left out.
+    frequency of the speed. What else drives the diagram is left out. stability: False looks at no poles.
 
     Raises RotorsimError as `linearise`, without a diagram parameter ``speed``, and for ports that do not exist.
     """
@@ -72,11 +73,13 @@ def unbalance_response(
     made: list[np.ndarray] = []
     stable: list[bool] = []
     notes: tuple[str, ...] = ()
-    looked = set(np.linspace(0, len(values) - 1, min(len(values), STABILITY_SPEEDS)).round().astype(int).tolist())
+    count = min(len(values), STABILITY_SPEEDS) if stability else 0
+    looked = set(np.linspace(0, len(values) - 1, count).round().astype(int).tolist())
+    system_at = systems_at(model, ports, names, parameters, values)
     for k, speed in enumerate(values):
-        given = {**(parameters or {}), "speed": float(speed)}
-        system, notes = linear_system(model, ports, names, given, told=k == len(values) - 1)
-        G = system.response(speed / (2 * np.pi))[0][:, columns].reshape(len(signals), 2, len(planes), 2)
+        system, notes = system_at(float(speed), k == len(values) - 1)
+        system = system.with_inputs(columns)
+        G = system.response(speed / (2 * np.pi))[0].reshape(len(signals), 2, len(planes), 2)
         made.append(np.einsum("sapb,b->spa", G, FORWARD) * speed**2)
         if k in looked:
             stable.append(not len(growing_poles(system)))
@@ -85,13 +88,13 @@ def unbalance_response(
         planes=tuple(planes),
         signals=tuple(signals),
         response=np.array(made),
-        stable=_between(values, values[sorted(looked)], np.array(stable)),
+        stable=between(values, values[sorted(looked)], np.array(stable)) if stability else np.ones(len(values), bool),
         notes=notes,
         provenance=provenance(model, parameters, "unbalance_response"),
     )
 
 
-def _between(speeds: np.ndarray, looked: np.ndarray, stable: np.ndarray) -> np.ndarray:
+def between(speeds: np.ndarray, looked: np.ndarray, stable: np.ndarray) -> np.ndarray:
     """Return whether the machine is stable at speeds, as it is at both of the nearest that were looked at."""
     above = np.minimum(np.searchsorted(looked, speeds), len(looked) - 1)
     below = np.where(looked[above] > speeds, np.maximum(above - 1, 0), above)

@@ -11,11 +11,11 @@ import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.eigenmodes import require_speed
-from rotorsim.linear.linearisation import as_model, refuse_sampled
+from rotorsim.linear.linearisation import as_model
 from rotorsim.model.compiled import Model
 from rotorsim.recordings.recording import ANGLE
 from rotorsim.settled.continuation import Settings, Setup, orbits
-from rotorsim.settled.periodic import start_of
+from rotorsim.settled.periodic import settled_start, start_of
 from rotorsim.simulation.result import Result
 from rotorsim.simulation.run import simulate
 
@@ -95,13 +95,12 @@ def steps_of(model: Model, rate: float | None) -> tuple[float, int]:
 
 
 def settled_state(model: Model, parameters: Mapping[str, float] | None = None) -> np.ndarray:
-    """Return the states (n_x,) at t = 0 of the settled periodic motion with these parameters (see `periodic`).
+    """Return the states at t = 0 of the settled periodic motion with these parameters (see `settled_start`).
 
     States that nothing returns begin as `start_of` says. Raises RotorsimError, with exit code 1 where there is no
     stable settled motion.
     """
     model = as_model(model)
-    refuse_sampled(model, "a settled start")
     require_speed(model, "a settled start")
     p = model.parameter_vector(parameters or {})[None]
     setup = Setup(model)
@@ -109,6 +108,8 @@ def settled_state(model: Model, parameters: Mapping[str, float] | None = None) -
     where = f"{model.diagram.name} at {base[0] * 30 / math.pi:.6g} rpm"
     if not base[0] > 0:
         raise RotorsimError(Problem("a settled start needs a speed above zero", where))
+    if model.n_z:
+        return settled_start(model, parameters=parameters)
     motion = orbits(setup, base, p, Settings(harmonics=None, tolerance=_TOLERANCE, stability=True))
     if motion.status[0] != "settled":
         raise RotorsimError(Problem(f"no settled start: {motion.status[0]}", where), exit_code=1)

@@ -275,7 +275,13 @@ def _campbell(model: Model, settings: Data, progress: Callable[[float], None]) -
     rest = {name: value for name, value in settings.items() if name != "speed"}
     found = campbell(model, speeds=_speeds(model, CAMPBELL_SPEEDS, 0.0), parameters=rest, progress=progress)
     rows = [
-        [f"{c.order}X", f"{rpm(c.speed):.6g}", f"{c.frequency_hz:.5g}", f"{c.damping_ratio:.5f}", c.whirl]
+        [
+            f"{c.order}X",
+            f"{rpm(c.speed):.6g}",
+            f"{c.frequency_hz:.5g}{c.modulo_text.removesuffix(' Hz')}",
+            f"{c.damping_ratio:.5f}",
+            c.whirl,
+        ]
         for c in found.crossings
     ]
     columns = ["order", "critical speed [rpm]", "frequency [Hz]", "damping ratio", "whirl"]

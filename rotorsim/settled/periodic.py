@@ -14,7 +14,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear import linearisation as linear
-from rotorsim.linear.drift import shifts
+from rotorsim.linear.drift import shift_of, shifts
 from rotorsim.linear.eigenmodes import checked_speeds, require_speed
 from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.model.input_limits import input_limits, passed_limit
@@ -29,7 +29,6 @@ from rotorsim.settled.result import Periodic
 __all__ = ["Channels", "Periodic", "periodic", "settled_start"]
 
 START_TOLERANCE = 1e-10  # size of the harmonics left out of a settled start, which are its transient
-NO_SHIFT = 1e-8  # cosine between what may shift and what stays, below which nothing says by how much
 COUPLED_PERIODIC = "rotorsim.cosim.coupled_periodic"  # a room above this one: imported where parts hide their equations
 
 
@@ -187,7 +186,8 @@ def _sampled(
 def settled_start(diagram: Diagram | Model, *, parameters: Mapping[str, Any] | None = None) -> np.ndarray:
     """Return the states (n_x,) of the settled periodic motion at t = 0: a run from there has no transient.
 
-    Of the diagram's own speed. States that nothing returns are where a run from the start of the diagram would have
+    With sampled blocks (n_x + n_z,): theirs, before their hit at t = 0, stand behind; the diagram must be linear. Of
+    the diagram's own speed. States that nothing returns are where a run from the start of the diagram would have
     brought them, see `start_of`.
 
     Raises RotorsimError as `periodic`, where no settled motion is found, and where it is not stable.
@@ -197,13 +197,16 @@ def settled_start(diagram: Diagram | Model, *, parameters: Mapping[str, Any] | N
         what = "a part hides its equations: the states of its settled motion are not known"
         raise RotorsimError(Problem(what, model.diagram.name, hint="run it until it has settled"))
     model = linear.as_model(model)
-    linear.refuse_sampled(model, "a settled start")
     require_speed(model, "a settled start")
     p = model.parameter_vector(parameters)
     speed = linear.speed_of(model, p)
     if not speed:
         hint = "give a speed, and a clock that does not accelerate"
         raise RotorsimError(Problem("its speed is zero: there is no turn to be periodic in", "speed", hint=hint))
+    if model.n_z:
+        from rotorsim.settled.sampled_motion import sampled_start  # loads matrix functions of SciPy
+
+        return sampled_start(model, abs(speed), parameters)
     setup = _SETUPS.get(model) or _SETUPS.setdefault(model, _Setup(model))
     _returning(setup, None, abs(speed), p)
     motion = orbits(setup, np.array([abs(speed)]), p[None], Settings(None, START_TOLERANCE, True))
@@ -230,8 +233,7 @@ def start_of(model: Model, motion: Orbits, p: np.ndarray, parameters: Mapping[st
         return x
     A = linear.linearise(model, parameters=parameters, inputs=(), outputs=(), at=X[0].real, told=False).A
     N, W = shifts(A)
-    c = np.linalg.lstsq(W.T @ N, W.T @ (model.x0(p) - x), rcond=NO_SHIFT)[0]
-    return np.asarray(x + N @ c)
+    return np.asarray(x + shift_of(W.T @ (model.x0(p) - x), N, W))
 
 
 def _refuse_beyond_limits(setup: Setup, base: np.ndarray, p: np.ndarray, motion: Orbits) -> None:

@@ -9,19 +9,19 @@ that its largest value is that of sum p_k(t) exp(i k a) over all t and a; where 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import matrix_balance
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.drift import drifting_states
+from rotorsim.linear.drift import drifting_states, shift_of, shifts
+from rotorsim.linear.exponentials import exponential
 from rotorsim.linear.linear_model import LinearModel, LinearPart
 from rotorsim.linear.linearisation import entry_names, state_names
 from rotorsim.linear.loop import growing_poles, linear_part, sampled_data
-from rotorsim.linear.sampled_data import SampledData
-from rotorsim.linear.state_space import StateSpace
+from rotorsim.linear.sampled_data import SampledData, SettledMotion
 from rotorsim.model.compiled import Model
 from rotorsim.settled.equations import FIRST_SAMPLES, MOST_PERIOD_SAMPLES, RESOLVED
 from rotorsim.settled.forcing import NOISE_MARGIN, PROBE, ZERO_COEFFICIENT, size_beyond
@@ -68,9 +68,7 @@ def sampled_motion(
     """
     part = linear_part(model, (), names)
     _refuse_random(part)
-    entries = [*state_names(model)]
-    for state in part.part.trace.discrete_states.values():
-        entries += entry_names(state.name, state.shape)
+    entries = _entries(model)
     found: list[_At] = []
     for speed, parameters in zip(base, given, strict=True):
         p = part.part.parameter_vector(parameters)
@@ -94,6 +92,58 @@ def sampled_motion(
         images={name: np.array([one.images[name] for one in found]) for name in found[0].images},
         samples=max(one.samples for one in found),
     )
+
+
+def sampled_start(model: Model, base: float, parameters: Mapping[str, Any] | None = None) -> np.ndarray:
+    """Return the states (n_x + n_z,) of the settled motion at t = 0, those of sampled blocks before their hit there.
+
+    Whatever samples are in a turn. Before its hits at t = 0 the motion is s(0) = s_0 + 2 Re sum_k before_k, (1 - M) s_0
+    = what constant forcing adds in a period, but for what that makes grow. States that nothing returns are where a
+    run from the start of the diagram would have brought them: W' s, W' M = W', only follows what drives it.
+
+    Raises RotorsimError as `sampled_motion`, where the motion grows, and where it is not stable.
+    """
+    part = linear_part(model, (), ())
+    _refuse_random(part)
+    p = part.part.parameter_vector(parameters)
+    linear = part.at(p)
+    system, entries = sampled_data(linear, model), _entries(model)
+    forcing = _forcing(part, linear, p, base, (entries, ()))
+    name = model.diagram.name
+    if len(growing_poles(system)):
+        what = "its settled motion is not stable: no run stays there"
+        raise RotorsimError(Problem(what, name, hint="`rotorsim modes` shows what grows"), exit_code=1)
+    turning = np.zeros(len(linear.A))
+    for k in (np.flatnonzero(np.any(forcing.rates[1:] != 0, axis=1) | _any_jump(forcing)) + 1).tolist():
+        turning += 2 * _at_order(system, forcing, k, 1j * k * base).before[..., 0].mean(axis=0).real
+    if not np.isfinite(turning).all():
+        raise RotorsimError(Problem(f"no settled motion: {NO_MOTION}", name), exit_code=1)
+    return _from_start(system, forcing, turning, np.concatenate(part.part.initial(p)), name)
+
+
+def _from_start(
+    system: SampledData, forcing: _Forcing, turning: np.ndarray, start: np.ndarray, name: str
+) -> np.ndarray:
+    """Return the states at t = 0 of a motion that turns, with its mean, and where a start would have brought it."""
+    n, M = len(turning), system.monodromy
+    added = _a_period(system, forcing, _with_means(system, forcing))[0][:n, n]
+    scale = matrix_balance(M, permute=False, separate=True)[1][0]
+    N, W = shifts(M - np.eye(n), 1.0)
+    grows = shift_of(W.T @ added, N, W)  # in a period, and does not return
+    if (np.abs(W.T @ (added - grows)) > RETURNS * (np.abs(W.T) @ np.abs(added))).any():
+        what = "no settled motion: constant forcing drives what nothing returns, faster from turn to turn"
+        raise RotorsimError(Problem(what, name, hint="`rotorsim run` it without a settled start"), exit_code=1)
+    own = (np.eye(n) - M) * scale / scale[:, None]
+    bordered = np.block([[own, W * scale[:, None]], [(N / scale[:, None]).T, np.zeros((N.shape[1],) * 2)]])
+    rest = np.linalg.solve(bordered, np.append((added - grows) / scale, np.zeros(N.shape[1])))[:n] * scale
+    states = turning + rest
+    return np.asarray(states + shift_of(W.T @ (start - states), N, W))
+
+
+def _entries(model: Model) -> list[str]:
+    """Return the names of the states, entry by entry, of sampled blocks behind the others."""
+    held = model.trace.discrete_states.values()
+    return [*state_names(model), *(name for state in held for name in entry_names(state.name, state.shape))]
 
 
 def _refuse_random(part: LinearPart) -> None:
@@ -183,14 +233,14 @@ def _at(
     stability: bool,
 ) -> _At:
     """Return the motion at one speed. Along the period of the samplers: harmonics that change with the phase."""
-    count, c = forcing.outputs.shape
-    steps = [expm(system.flow.A * (length / PARTS)) for length in _lengths(system)]
+    (count, c), n = forcing.outputs.shape, len(system.flow.A)
+    steps = _with_means(system, forcing)
     along = np.zeros((len(steps) * (PARTS + 1), count, c), complex)
     Y = np.zeros((count, c), complex)
-    Y[0], along[:, 0], seeds = _rest(system, forcing)
+    Y[0], along[:, 0], seeds = _rest(system, forcing, steps)
     with np.errstate(all="ignore"):
         for k in (np.flatnonzero(np.any(forcing.rates[1:] != 0, axis=1) | _any_jump(forcing)) + 1).tolist():
-            Y[k], along[:, k] = _turning(system, forcing, k, 1j * k * base, steps)
+            Y[k], along[:, k] = _turning(system, forcing, k, 1j * k * base, [step[:n, :n] for step in steps])
     Y[1:] += forcing.outputs[1:]
     along[:, 1:] += forcing.outputs[1:]
     status = "settled" if np.isfinite(Y[1:]).all() else NO_MOTION
@@ -230,10 +280,8 @@ def _turning(
     system: SampledData, forcing: _Forcing, k: int, s: complex, steps: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the harmonic (c,) of the outputs at s = i k W, and the same at every phase of the samplers (parts, c)."""
-    at = system.clear_of_poles(s)
-    B = np.broadcast_to(forcing.rates[k, :, None], (len(at), *forcing.rates[k, :, None].shape))
-    motion = system.motion(at, B, [K[None, k, :, None] for K in forcing.jumps])
-    C, found = system.flow.C, []
+    motion = _at_order(system, forcing, k, s)
+    at, C, found = motion.s, system.flow.C, []
     for start, length, after, step in zip(system.times, _lengths(system), motion.after, steps, strict=True):
         xi = after - motion.R * np.exp(at * start)[:, None, None]
         for part in range(PARTS + 1):
@@ -243,15 +291,19 @@ def _turning(
     return (C @ motion.mean)[..., 0].mean(axis=0), np.array(found)
 
 
-def _rest(system: SampledData, forcing: _Forcing) -> tuple[np.ndarray, np.ndarray, list[int]]:
-    """Return the means (c,) of the outputs, their values at every phase of the samplers, and states that drift.
+def _at_order(system: SampledData, forcing: _Forcing, k: int, s: complex) -> SettledMotion:
+    """Return the motion of order k at s = i k W."""
+    at = system.clear_of_poles(s)
+    B = np.broadcast_to(forcing.rates[k, :, None], (len(at), *forcing.rates[k, :, None].shape))
+    return system.motion(at, B, [K[None, k, :, None] for K in forcing.jumps])
 
-    By a system with two more kinds of states: 1, which carries what is constant, and the integrals of the outputs.
+
+def _with_means(system: SampledData, forcing: _Forcing) -> list[np.ndarray]:
+    """Return exp(A h / `PARTS`) of each interval, of a system with two more kinds of states.
+
+    They are 1, which carries what is constant, and the integrals of the outputs.
     """
     (c, n), b, d = system.flow.C.shape, forcing.rates[0].real, forcing.outputs[0].real
-    pattern = (system.flow.A != 0) | np.any([np.eye(n) != J for J, _ in system.jumps], axis=0)
-    M = system.monodromy
-    seeds, held = drifting_states(M - np.eye(n), pattern, 1.0)
     A = np.block(
         [
             [system.flow.A, b[:, None], np.zeros((n, c))],
@@ -259,21 +311,40 @@ def _rest(system: SampledData, forcing: _Forcing) -> tuple[np.ndarray, np.ndarra
             [system.flow.C, d[:, None], np.zeros((c, c))],
         ]
     )
-    jumps = []
-    for (J, _), K in zip(system.jumps, forcing.jumps, strict=True):
-        whole = np.eye(len(A))
+    made = {f"{length:.9e}": length for length in _lengths(system)}
+    known = {key: exponential(A, length / PARTS) for key, length in made.items()}
+    return [known[f"{length:.9e}"] for length in _lengths(system)]
+
+
+def _a_period(
+    system: SampledData, forcing: _Forcing, steps: Sequence[np.ndarray]
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return by what these states change in a period of the samplers, and at each hit, of what is constant."""
+    n, turn, jumps = len(system.flow.A), np.eye(len(steps[0])), []
+    for (J, _), K, step in zip(system.jumps, forcing.jumps, steps, strict=True):
+        whole = np.eye(len(turn))
         whole[:n, :n], whole[:n, n] = J, K[0].real
-        jumps.append((whole, np.zeros((len(A), 0))))
-    larger = replace(
-        system, flow=StateSpace(A, np.zeros((len(A), 0)), np.zeros((0, len(A))), np.zeros((0, 0))), jumps=tuple(jumps)
-    )
+        jumps.append(whole)
+        turn = np.linalg.matrix_power(step, PARTS) @ whole @ turn
+    return turn, jumps
+
+
+def _rest(
+    system: SampledData, forcing: _Forcing, steps: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, list[int]]:
+    """Return the means (c,) of the outputs, their values at every phase of the samplers, and states that drift."""
+    (c, n), d = system.flow.C.shape, forcing.outputs[0].real
+    pattern = (system.flow.A != 0) | np.any([np.eye(n) != J for J, _ in system.jumps], axis=0)
+    M = system.monodromy
+    seeds, held = drifting_states(M - np.eye(n), pattern, 1.0)
+    turn, jumps = _a_period(system, forcing, steps)
     free = np.setdiff1d(np.arange(n), held)
-    state = np.zeros(len(A))
+    state = np.zeros(n + 1 + c)
     state[n] = 1.0
-    state[free] = np.linalg.solve(np.eye(len(free)) - M[np.ix_(free, free)], larger.monodromy[free, n])
+    state[free] = np.linalg.solve(np.eye(len(free)) - M[np.ix_(free, free)], turn[free, n])
     found = []
-    for length, (J, _) in zip(_lengths(larger), larger.jumps, strict=True):
-        state, step = J @ state, expm(A * (length / PARTS))
+    for jump, step in zip(jumps, steps, strict=True):
+        state = jump @ state
         for part in range(PARTS + 1):
             found.append(system.flow.C @ state[:n] + d)
             state = step @ state if part < PARTS else state

@@ -46,7 +46,8 @@ def simulate(
 
     parameters: by name ("speed", "controller.KP"), SI or texts with a unit ("1800 rpm"). method: "rk4" (fixed
     step, default) or "dop853", "rk45", "radau", "bdf", "lsoda" (adaptive, zero crossings located). record: signal
-    names, parts allowed ("rotor.displacement[3]"). record_every: keep every n-th step. initial: x (n_x,).
+    names, parts allowed ("rotor.displacement[3]"). record_every: keep every n-th step. initial: x (n_x,), or with
+    the states z of sampled blocks behind, before their hit at t = 0 (n_x + n_z,).
     progress: called with the fraction done. A run of an unstable machine, one that diverges (a state is not
     finite any more, or the step is beyond the stability limit of RK4) and one that is interrupted return what
     was computed, with status "unstable", "diverged" or "stopped"; a step that makes a recorded signal wrong by
@@ -74,7 +75,10 @@ def simulate(
     instance = make_instance(model, watched, p, use_compiler=use_compiler)
     prepared = clock.process_time()
     if initial is not None:
-        instance.x[:] = initial
+        given_states = np.asarray(initial, float)
+        instance.x[:] = given_states[: model.n_x]
+        if len(given_states) > model.n_x:
+            instance.z[:] = given_states[model.n_x :]
     n_steps = max(math.ceil(end / h - 1e-9), 1)  # a stop between two steps is covered
     if every > n_steps:
         what = f"every {every:.6g}th step of {n_steps} is recorded: nothing but the start"

@@ -11,11 +11,15 @@ import numpy as np
 import pytest
 
 from rotorsim import Recording, RotorsimError, accept, load, load_recording
+from rotorsim.acceptance import unbalance
 from rotorsim.acceptance.acceptance import Acceptance
+from rotorsim.acceptance.conditions import Conditions
 from rotorsim.acceptance.criterion import Criterion
+from rotorsim.acceptance.damping import _twice
 from rotorsim.acceptance.displacement import displacement_zone
 from rotorsim.acceptance.limits import residual_unbalance, vibration_limit
 from rotorsim.acceptance.unbalance import rotor_mass
+from rotorsim.linear.campbell import Crossing
 from rotorsim.signals.orders.extraction import tracked_recording
 from tests.acceptance.machines import jeffcott, stepped
 from tests.blocks.test_amb_hardware import rigid
@@ -185,6 +189,23 @@ def test_a_sampled_controller_is_judged_by_its_exact_loop() -> None:
     modes = [next(one for one in of(found, "log decrement")).where for found in (sampled, continuous)]
     assert [where.split(",")[0] for where in modes] == ["first planar mode"] * 2
     assert [one.where for one in of(sampled, "poles that grow")][1] == "0 to 11459 rpm, 27 speeds"
+
+
+@pytest.mark.parametrize(("modulo", "verdict", "text"), [(np.nan, "met", ""), (2000.0, "unsure", " modulo 2000 Hz")])
+def test_a_separation_from_a_folded_mode_is_unsure(
+    modulo: float, verdict: str, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """AF = 1 / (2 z) = 5, far below the operating speeds; another of its images may be met within them."""
+    crossed = Crossing(1, 200.0, 200 / (2 * np.pi), 1, "forward", 0.1, modulo=modulo)
+    twice = replace(crossed, order=2, speed=500.0)
+    met = SimpleNamespace(crossings=(crossed, twice))
+    given = Conditions(lowest=400.0, highest=600.0, trip=630.0)
+    monkeypatch.setattr(unbalance, "campbell_of", lambda model, given: met)
+    (found,) = unbalance._not_excited(None, SimpleNamespace(critical=()), given)
+    assert found.verdict == verdict
+    assert found.where.endswith(f"mode of 31.83 Hz{text}, by its damping ratio: no plane excites it")
+    (note,) = _twice(met, given)
+    assert note.startswith(f"2X meets a forward mode of 31.83 Hz{text}, log decrement 0.631, at 4774.6 rpm")
 
 
 def test_the_mass_is_that_of_the_drawing() -> None:

@@ -109,8 +109,10 @@ def test_signals_rate_and_format(run) -> None:
     assert Path("a/b/run01.csv").exists()
 
 
-def test_a_settled_recording_repeats_every_turn(run) -> None:
-    run("record", "jeffcott", "--out", "m", "--settle", "--window", "0:0.12")
+@pytest.mark.parametrize("name", ["jeffcott", "sampled.json"])
+def test_a_settled_recording_repeats_every_turn(run, name: str) -> None:
+    run("swap", "jeffcott", "controller", "discrete_pid", "--out", "sampled.json")
+    run("record", name, "--out", "m", "--settle", "--window", "0:0.12")
     x = load_recording("m").runs[0].values["x"]
     np.testing.assert_allclose(x[400:800], x[:400], atol=1e-6 * np.abs(x).max())  # 400 samples a turn; error of RK4
 

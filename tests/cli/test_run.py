@@ -258,8 +258,11 @@ def test_spectrum_window(run) -> None:
     assert result.stderr == "error: --window 5 s: not START:STOP\n\nhint: for example --window '4 s:5 s'\n"
 
 
-def test_a_run_that_begins_settled(run) -> None:
-    found = run("run", "jeffcott", "--settle", "--stop", "0.2 s", "--out", "settled.csv")
+@pytest.mark.parametrize("sampled", [False, True])
+def test_a_run_that_begins_settled(run, sampled: bool) -> None:
+    if sampled:
+        run("swap", "jeffcott", "controller", "discrete_pid", "--out", "sampled.json")
+    found = run("run", "sampled.json" if sampled else "jeffcott", "--settle", "--stop", "0.2 s", "--out", "settled.csv")
     assert found.exit_code == 0
     table = np.genfromtxt("settled.csv", delimiter=",", names=True)
     x = table[next(name for name in table.dtype.names if "displacement" in name)]

@@ -209,3 +209,45 @@ def test_one_file_may_be_used_many_times_with_shapes_of_its_own(parts: Path) -> 
     assert loaded.nodes["a/h"].outputs["output"].shape == (2,)
     assert loaded.nodes["b/h"].outputs["output"].shape == ()
     np.testing.assert_array_equal(loaded.nodes["a/g"].values["gain"], 2.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "outer", "one", "gain"),
+    [
+        ({}, [1.0, 2.0], [1.0, 2.0], [1.0, 2.0]),
+        ({"outer[2]": 9.0}, [1.0, 9.0], [1.0, 9.0], [1.0, 9.0]),
+        ({"pair.v[2]": 9.0}, [1.0, 2.0], [1.0, 9.0], [1.0, 9.0]),
+        ({"pair/one.value[2]": 9.0}, [1.0, 2.0], [1.0, 9.0], [1.0, 2.0]),
+        ({"pair/two.v[2]": 9.0}, [1.0, 2.0], [1.0, 2.0], [1.0, 9.0]),
+        # what is followed first, in whatever order they are given
+        ({"pair/two.v[2]": 9.0, "pair.v[1]": 8.0, "outer[2]": 7.0}, [1.0, 7.0], [8.0, 7.0], [8.0, 9.0]),
+    ],
+)
+def test_an_entry_of_what_follows_a_parameter_outside_is_its_own(
+    given: dict[str, Any], outer: list[float], one: list[float], gain: list[float], empty_folder: Path
+) -> None:
+    """As a block's: a parameter that is set inside follows no longer, and what it followed stays as it is."""
+    inner = diagram({"c": block("constant", value="$v")}, parameters={"v": [0.0, 0.0]})
+    pair = diagram({"one": block("constant", value="$v"), "two": sub("in.json", v="$v")}, parameters={"v": [0.0, 0.0]})
+    (empty_folder / "in.json").write_text(written(inner))
+    (empty_folder / "pair.json").write_text(written(pair))
+    document = diagram({"pair": sub("pair.json", v="$outer")}, parameters={"outer": [1.0, 2.0]})
+    loaded = load(document, folder=empty_folder, set=given)
+    assert loaded.parameters["outer"].tolist() == outer
+    assert loaded.nodes["pair/one"].values["value"].tolist() == one
+    assert loaded.nodes["pair/two/c"].values["value"].tolist() == gain
+
+
+def test_entries_at_several_depths_are_refused_all_at_once(empty_folder: Path) -> None:
+    (empty_folder / "in.json").write_text(
+        written(diagram({"c": block("constant", value="$v")}, parameters={"v": [0.0, 0.0]}))
+    )
+    document = diagram({"part": sub("in.json", v="$outer")}, parameters={"outer": [1.0, 2.0]})
+    with pytest.raises(RotorsimError) as caught:
+        load(document, folder=empty_folder, set={"part/c.value[4]": 1.0, "part.v[3]": 1.0, "outer[0]": 1.0})
+    what = "no such entry; the parameter is 2, counted from 1"
+    assert [(one.what, one.subject, one.hint) for one in caught.value.problems] == [
+        (what, "outer[0]", "outer[1] is the first"),
+        (what, "part.v[3]", "part.v[1] is the first"),
+        (what, "part/c.value[4]", "part/c.value[1] is the first"),
+    ]

@@ -67,6 +67,7 @@ def test_the_campbell_diagram_of_a_sampled_machine() -> None:
     assert first[0] == pytest.approx(first[1], rel=1e-3)
     assert [one.whirl for one in sampled.crossings] == [one.whirl for one in continuous.crossings]
     assert sampled.stable.all()
+    assert {one.modulo_text for one in sampled.crossings} == {""}
 
 
 def test_a_growing_mode_of_a_sampled_loop_is_told() -> None:
@@ -92,7 +93,7 @@ def test_the_root_locus_has_poles_above_half_of_the_sample_rate_where_they_are()
         bent = truth[
             (truth.imag > 2 * np.pi * 3e3) & (truth.imag < 2 * np.pi * 9.5e3) & (-truth.real < 0.7 * truth.imag)
         ]
-        nearest = np.abs(own[:, None] - bent).argmin(axis=0)
+        nearest = np.nanargmin(np.abs(own[:, None] - bent), axis=0)  # a row may be filled up
         np.testing.assert_allclose(own[nearest], bent, rtol=1e-6)
         assert np.isnan(modulo[nearest]).all()
 
@@ -106,6 +107,15 @@ def test_poles_of_which_several_images_show_alike_say_modulo_what_their_frequenc
     locus = root_locus(load(machine(5e-4, 5e-4)), "speed", [300.0])
     own = locus.poles[0][np.isfinite(locus.modulo[0])]
     assert sorted(own.imag) == pytest.approx(sorted(mode.eigenvalue.imag for mode in found if mode.modulo))
+
+
+def test_a_crossing_of_a_folded_mode_says_modulo_what_its_frequency_is() -> None:
+    """The controller of 2 kHz mixes images of a mode at 346 Hz and at 2346 Hz, which 50X meets near 295 rad/s."""
+    found = campbell(load(machine(5e-4, 5e-4)), speeds=np.linspace(290.0, 310.0, 3), orders=(50,)).crossings
+    folded = [one for one in found if 2300 < one.frequency_hz < 2400]
+    assert [one.order for one in folded] == [50, 50]
+    assert [one.modulo for one in folded] == pytest.approx([2000.0, 2000.0])
+    assert {one.modulo_text for one in folded} == {" modulo 2000 Hz"}
 
 
 def test_the_limit_of_stability_is_told_at_the_frequency_that_grows() -> None:

@@ -44,6 +44,19 @@ def test_a_campbell_diagram_of_the_rigid_rotor(tmp_path):
     assert not any(one.overlaps(other) for k, one in enumerate(frames) for other in frames[:k])
 
 
+def test_a_crossing_of_a_folded_mode_has_a_mark_of_its_own() -> None:
+    speeds = np.array([0.0, 200.0, 400.0, 600.0])
+    frequency = np.array([[30.0, 60.0]] * 4)
+    sure = Crossing(1, 2 * np.pi * 30, 30.0, 1, "forward", 0.01)
+    folded = Crossing(1, 2 * np.pi * 60, 60.0, 2, "forward", 0.01, modulo=2000.0)
+    whirl = np.full((4, 2), "forward")
+    found = Campbell(speeds, frequency, np.full((4, 2), 0.01), whirl, (sure, folded))
+    axes = campbell_figure(found).axes[0]
+    assert legend(axes) == ["forward", "critical speed [rpm]", "critical speed [rpm], frequency modulo 2000 Hz"]
+    marks = {line.get_marker(): line.get_xdata().tolist() for line in axes.lines if line.get_marker() in "os"}
+    assert marks == {"o": pytest.approx([1800.0]), "s": pytest.approx([3600.0])}
+
+
 def test_whirl_that_changes_with_speed_changes_its_line():
     speeds = np.array([0.0, 100.0, 200.0, 300.0])
     whirl = np.array([["planar"], ["backward"], ["forward"], ["forward"]])

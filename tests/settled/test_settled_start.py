@@ -80,6 +80,83 @@ def test_a_free_disc_stays_about_its_start_without_its_drift() -> None:
     assert np.abs(run["place.output"][:-1].mean(axis=0)).max() < 1e-9 * np.abs(run["place.output"]).max()
 
 
+SAMPLED = {"type": "discrete_pid", "parameters": {"KP": 12500.0, "KI": 3e5, "KD": 3.75}}
+
+
+def sampled(sample_time: float, samples: float) -> tuple[dict[str, Any], float]:
+    """Return a disc under gravity that turns in so many samples of its controller, and the time of a turn [s]."""
+    controller = {"type": "discrete_pid", "parameters": {**SAMPLED["parameters"], "sample_time": sample_time}}
+    machine = jeffcott(4e5, 150.0, controller)
+    machine["parameters"]["speed"] = 2 * np.pi / (samples * sample_time)
+    machine["blocks"]["weight"] = {"type": "constant", "parameters": {"value": [0.0, -19.62]}}
+    machine["wires"].append(["weight.output", "rotor.force"])
+    machine["solver"]["step"] = 1e-5
+    return machine, samples * sample_time
+
+
+def sampled_apart() -> tuple[dict[str, Any], float]:
+    """Return one whose sensor is sampled at another rate, and whose velocity the controller makes itself."""
+    machine, turn = sampled(1e-4, 130.0)
+    machine["blocks"]["sensor"] = {"type": "sample_hold", "parameters": {"sample_time": 5e-5}}
+    machine["wires"].remove(["rotor.displacement", "controller.displacement"])
+    machine["wires"].remove(["rotor.velocity", "controller.velocity"])
+    machine["wires"] += [["rotor.displacement", "sensor.input"], ["sensor.output", "controller.displacement"]]
+    return machine, turn
+
+
+def nonlinear() -> dict[str, Any]:
+    machine = sampled(1e-4, 130.0)[0]
+    machine["blocks"]["amb"] = {"type": "amb_nonlinear"}
+    return machine
+
+
+def falling() -> dict[str, Any]:
+    """Return a disc, and a free body that gravity moves."""
+    machine = sampled(1e-4, 130.0)[0]
+    machine["blocks"] |= {name: {"type": "integrator", "parameters": {"initial": [0.0, 0.0]}} for name in ("v", "s")}
+    machine["wires"] += [["weight.output", "v.input"], ["v.output", "s.input"]]
+    return machine
+
+
+@pytest.mark.parametrize(
+    ("machine", "turn", "turns"),
+    [
+        (*sampled(1e-4, 130.0), 1),
+        (*sampled(1.2e-4, 108.25), 4),  # images fall between the orders: it returns after four turns
+        (*sampled_apart(), 1),
+    ],
+)
+def test_a_sampled_run_returns_from_its_first_sample(machine: dict[str, Any], turn: float, turns: int) -> None:
+    """It is what a run from rest comes to: with its samples and what is held at the same angle of the shaft."""
+    signals = ["rotor.displacement", "rotor.velocity", "controller.current"]
+    again = turns * turn
+    whole = int(np.ceil(3.0 / again)) * again
+    n = round(again / 1e-5)
+    long = simulate(load(machine), stop=whole, record=signals)
+    start = simulate(load(machine), initial=settled_start(load(machine)), stop=2 * again, record=signals)
+    for name in signals:
+        size = np.ptp(start[name], axis=0).max()
+        assert np.abs(start[name][n:-1] - start[name][:n]).max() < 1e-9 * size, name
+        assert np.abs(start[name][:n] - long[name][-n - 1 : -1]).max() < 1e-7 * size, name
+
+
+def test_what_nothing_returns_is_where_a_sampled_run_would_have_brought_it() -> None:
+    """Beside the samplers: an angle that grows, integrals of speed and of place."""
+    machine, turn = sampled(1e-4, 130.0)
+    machine["blocks"] |= {
+        name: block for name, block in with_integrators()["blocks"].items() if block["type"] == "integrator"
+    }
+    machine["wires"] += with_integrators()["wires"][-3:]
+    turns = round(2.0 / turn)
+    signals = ["angle.output", "path.output", "area.output", "rotor.displacement"]
+    run = simulate(load(machine), stop=turns * turn, record=signals)
+    start = simulate(load(machine), initial=settled_start(load(machine)), stop=turn, record=signals)
+    for name in signals[1:]:
+        np.testing.assert_allclose(start[name][0], run[name][-1], rtol=1e-6, atol=1e-12)
+    assert start["angle.output"][0] == pytest.approx(0.3, rel=1e-12)
+    assert start["angle.output"][-1] == pytest.approx(0.3 + 2 * np.pi, rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("machine", "text"),
     [
@@ -89,9 +166,19 @@ def test_a_free_disc_stays_about_its_start_without_its_drift() -> None:
             "hint: `rotorsim modes` shows what grows",
         ),
         (
-            jeffcott(4e5, 1.0, {"type": "discrete_pid"}),
-            "error: controller: a settled start needs continuous blocks; this one has a sample time\n\n"
-            "hint: `rotorsim swap` a continuous controller in, or use `rotorsim run`",
+            jeffcott(4e5, 1.0, {"type": "discrete_pid", "parameters": {"KP": 12500.0, "KI": 0.0, "KD": 0.0}}),
+            "error: disc: its settled motion is not stable: no run stays there\n\n"
+            "hint: `rotorsim modes` shows what grows",
+        ),
+        (
+            nonlinear(),
+            "error: rotor: with sampled blocks a diagram must be linear, with constant coefficients\n\n"
+            "hint: take the linear block ('amb' for 'amb_nonlinear'), or `rotorsim swap` a continuous controller in",
+        ),
+        (
+            falling(),
+            "error: disc: no settled motion: constant forcing drives what nothing returns, faster from turn to turn\n\n"
+            "hint: `rotorsim run` it without a settled start",
         ),
         (
             {**jeffcott(4e5, 1.0), "parameters": {"speed": "0 rad/s"}},

@@ -111,7 +111,7 @@ class _Flattener:
     def sub_diagram(self, raw: RawBlock, source: Source, chain: tuple[Path, ...]) -> SubPorts:
         """Add the blocks and wires of a sub-diagram; return its ports. chain: of files, down to its own."""
         data = checked_form(source, self.problems)
-        inner = Scope(raw.name + "/", source, {})
+        inner, follows = Scope(raw.name + "/", source, {}), {}
         for name, value in data["parameters"].items():
             given = raw.parameters.get(name, value)
             outer = raw.scope.referred(given) if name in raw.parameters else None
@@ -119,6 +119,8 @@ class _Flattener:
                 place = raw.place_of(name) if name in raw.parameters else source.place(("parameters", name))
                 outer = Parameter(inner.prefix + name, given, place)
                 self.flat.parameters[outer.name] = outer
+            else:
+                follows[name] = ".".join(filter(None, (raw.scope.prefix.removesuffix("/"), given.removeprefix("$"))))
             inner.parameters[name] = outer
         for name in raw.parameters:
             if name not in data["parameters"]:
@@ -129,7 +131,9 @@ class _Flattener:
                     near_miss(name, data["parameters"]) or "it declares no parameters",
                 )
         self.document(data, inner, chain[-1].parent, chain)
-        return self.ports(data, inner)
+        ports = self.ports(data, inner)
+        ports.follows = follows
+        return ports
 
     def read(self, path: Path, raw: RawBlock) -> Source:
         assert self.folder is not None

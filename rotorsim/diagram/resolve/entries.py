@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,33 @@ def entries_set(settings: Mapping[str, Any] | None) -> dict[str, Any]:
     return {str(name): value for name, value in settings.items() if "[" in str(name)}
 
 
-def with_entries(diagram: Diagram, entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return parameters with their entries set, base name -> nested list: SI numbers, and what is given as it is.
+def with_entries(
+    diagram_with: Callable[[dict[str, Any]], Diagram], settings: Mapping[str, Any], entries: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return settings with parameters of which entries are set as nested lists: SI numbers, what is given as it is.
 
-    Entries count from 1: ``controller.KD[2]``, ``rotor.matrix[1,2]``. Raises RotorsimError with all that are not there.
+    Entries count from 1: ``controller.KD[2]``, ``rotor.matrix[1,2]``. What follows another parameter has its value,
+    with the entries of that set, and follows it no longer. Raises RotorsimError with all that are not there.
     """
+    made = dict(settings)
+    problems: list[Problem] = []
+    for _, group in groupby(sorted(entries, key=_depth), _depth):  # what is followed before what follows it
+        whole, mistakes = _whole(diagram_with(made), {name: entries[name] for name in group})
+        made |= whole
+        problems += mistakes
+    if problems:
+        raise RotorsimError(*problems)
+    return made
+
+
+def _depth(name: str) -> tuple[bool, int]:
+    """Return parameters of the diagram as the lowest, then those of blocks and sub-diagrams, then what is in these."""
+    block, dot, _ = name.partition("[")[0].rpartition(".")
+    return bool(dot), block.count("/")
+
+
+def _whole(diagram: Diagram, entries: Mapping[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
+    """Return parameters with their entries set, base name -> nested list, and what is wrong."""
     whole: dict[str, Any] = {}
     problems: list[Problem] = []
     for name, value in entries.items():
@@ -49,9 +72,7 @@ def with_entries(diagram: Diagram, entries: Mapping[str, Any]) -> dict[str, Any]
         else:
             array[index] = value
         whole[base] = array.tolist()
-    if problems:
-        raise RotorsimError(*problems)
-    return whole
+    return whole, problems
 
 
 def _value(diagram: Diagram, base: str) -> Any:
@@ -67,7 +88,8 @@ def _value(diagram: Diagram, base: str) -> Any:
         return np.broadcast_to(given, next(following, given).shape) if given.ndim == 0 else given
     block, _, parameter = base.rpartition(".")
     if block in diagram.sub_ports:
-        return diagram.parameters.get(f"{block}/{parameter}")
+        outer = diagram.sub_ports[block].follows.get(parameter)
+        return _value(diagram, outer) if outer else diagram.parameters.get(f"{block}/{parameter}")
     node = diagram.nodes.get(block)
     if node is None:
         return None

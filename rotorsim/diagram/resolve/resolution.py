@@ -85,8 +85,11 @@ def resolve(
     if entries := entries_set(set):
         rest = {name: value for name, value in (set or {}).items() if name not in entries}
         more: dict[str, Any] = {"without": without, "trust_blocks": trust_blocks, "folder": folder}
-        without_entries = resolve(source, set=rest, unfinished=None if unfinished is None else [], **more)
-        return resolve(source, set={**rest, **with_entries(without_entries, entries)}, unfinished=unfinished, **more)
+
+        def diagram_with(settings: Mapping[str, Any]) -> Diagram:
+            return resolve(source, set=settings, unfinished=None if unfinished is None else [], **more)
+
+        return resolve(source, set=with_entries(diagram_with, rest, entries), unfinished=unfinished, **more)
     document, root, said = _source(source, folder)
     settings = _Settings.of({} if set is None else set)
     flat = flatten_document(document, root, settings.parameters, settings.blocks)

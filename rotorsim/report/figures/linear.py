@@ -59,7 +59,12 @@ def _mark_crossings(axes: Axes, result: Campbell) -> None:
     crossings = sorted((c for c in result.crossings if result.resonant[c.mode - 1]), key=lambda c: (c.order, c.speed))
     places = np.array([(rpm(c.speed), c.frequency_hz) for c in crossings]).reshape(-1, 2)
     if crossings:
-        axes.plot(*places.T, "o", ms=5, mfc="white", mec=RED, zorder=4, label="critical speed [rpm]")
+        modulo = np.array([c.modulo for c in crossings])
+        rate = np.max(modulo, initial=0.0, where=modulo > 0)
+        for there, mark, more in ((np.isnan(modulo), "o", ""), (modulo > 0, "s", f", frequency modulo {rate:.6g} Hz")):
+            if there.any():
+                label = f"critical speed [rpm]{more}"
+                axes.plot(*places[there].T, mark, ms=5, mfc="white", mec=RED, zorder=4, label=label)
     inside, pixels = axes.get_window_extent(), axes.figure.dpi / 72
     spots = axes.transData.transform(places) if crossings else places
     taken = [Bbox([spot - 4 * pixels, spot + 4 * pixels]) for spot in spots]

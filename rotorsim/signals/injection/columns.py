@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from rotorsim.recordings.injection import AFTER, BEFORE
 from rotorsim.signals.injection.local_polynomial import response
@@ -40,7 +40,7 @@ class Column:
     def half_width(self, i: int) -> np.ndarray:
         """Return the half width (n,) of the 90 % interval of |S_i|: half of the variance of S is along it."""
         with np.errstate(invalid="ignore"):
-            return np.asarray(student.ppf(0.95, 2 * self.freedom) * self.std[:, i] / np.sqrt(2))
+            return np.asarray(stdtrit(2 * self.freedom, 0.95) * self.std[:, i] / np.sqrt(2))
 
     def measured(self, i: int) -> np.ndarray:
         """Return where |S_i| is told (n,), but for islands."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from rotorsim.linear.loop import open_loop_of
 from rotorsim.linear.margins import Axis
@@ -23,7 +23,7 @@ def with_limits(
     with np.errstate(invalid="ignore", divide="ignore"):
         G = np.asarray(open_loop_of(np.where(measured, S, np.nan)))
         std = column.std[:, i] / np.abs(S) ** 2 / np.sqrt(2)  # of G_o, along any direction
-        quantile = student.ppf(0.95, 2 * column.freedom)
+        quantile = stdtrit(2 * column.freedom, 0.95)
         relative = quantile * std / np.abs(G)
         size = np.log(np.abs(G))
     best = replace(best, gain_up=np.inf, gain_down=0.0)

@@ -16,7 +16,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import f as fisher
 
 POLYNOMIAL_DEGREE = 2  # of the polynomials: the centre of a window then errs by the fourth power of its width
 WIDER = 1.5  # from one window to the next
@@ -136,7 +135,8 @@ def _contradicts(narrow: Response, wide: Response) -> np.ndarray:
         spread = variance[:, :, None] * (narrow.gain - wide.gain)[:, None]
         ratio = np.abs(wide.S - narrow.S) ** 2 / spread
         entries = ratio[0].size if len(ratio) else 1
-        limit = fisher.isf(CHANCE / entries, 2, 2 * np.maximum(narrow.freedom, 1))
+        n = np.maximum(narrow.freedom, 1)
+        limit = n * np.expm1(-np.log(CHANCE / entries) / n)  # F of 2 and 2 n is above with (1 + F / n)^-n
         found = (ratio > limit[:, None, None]) & (spread > 0)
     return np.asarray(found.any(axis=(1, 2)))
 
