@@ -21,13 +21,9 @@ from typing import Any
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.store import Outcome
 from rotorsim.jobs.tasks import KILLED, Function, Job, Task, outcomes_in, pack, reply, tasks_of
+from rotorsim.jobs.threads import ONE_THREAD
 
-_THREADS = ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMEXPR")
-ENVIRONMENT = {  # of the processes: one thread each, and sets in one order
-    **dict.fromkeys([f"{name}_NUM_THREADS" for name in _THREADS], "1"),
-    "VECLIB_MAXIMUM_THREADS": "1",
-    "PYTHONHASHSEED": "0",
-}
+ENVIRONMENT = {**ONE_THREAD, "PYTHONHASHSEED": "0"}  # of the processes: one thread each, and sets in one order
 _PATIENCE = 5.0  # s, for a process that has nothing to do to end
 _TICK = 1.0  # s; on Windows, Ctrl-C waits for the end of a wait
 

@@ -6,6 +6,12 @@ from contextlib import AbstractContextManager
 from functools import cache
 from typing import Any
 
+_LIBRARIES = ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMEXPR")
+ONE_THREAD = {  # environment of a process that uses one thread, read as it loads them
+    **dict.fromkeys([f"{name}_NUM_THREADS" for name in _LIBRARIES], "1"),
+    "VECLIB_MAXIMUM_THREADS": "1",
+}
+
 
 def one_thread() -> AbstractContextManager[Any]:
     """Let NumPy and SciPy use one thread inside a ``with``."""

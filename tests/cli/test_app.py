@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import warnings
@@ -188,6 +189,19 @@ def test_help_needs_no_heavy_library() -> None:
     code += "print(sorted({'numpy', 'casadi', 'scipy', 'matplotlib', 'networkx', 'h5py'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(("given", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")])
+def test_a_verb_uses_one_thread_of_linear_algebra_where_nobody_asks_for_more(given: dict, threads: str) -> None:
+    """FAULT: a Campbell diagram of sampled loops took 60 s of CPU beside other programs, and 6 s with one thread."""
+    code = "import os, sys\nfrom rotorsim.cli.app import main\nassert 'numpy' not in sys.modules\n"
+    code += "sys.argv = ['rotorsim', 'version']\ntry: main()\nexcept SystemExit: pass\n"
+    code += "print(os.environ['OMP_NUM_THREADS'], os.environ['OPENBLAS_NUM_THREADS'])"
+    kept = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True, env={**kept, **given}
+    )
+    assert done.stdout.splitlines()[-1] == f"1 {threads}"
 
 
 def test_a_run_needs_no_library_for_figures() -> None:
