@@ -123,7 +123,7 @@ def test_the_names_of_a_fault_are_declared(cls: type[Block], fault: Fault) -> No
     assert not fault.free.keys() & fault.fixed.keys()
     assert {name.rpartition(".")[2] for name in fault.inherits} <= cls.parameters.keys() | cls.options.keys()
     assert set(fault.most) | set(fault.sizes) | set(fault.simpler) <= fault.free.keys()
-    assert {other for _, other in fault.simpler.values()} <= SIGNALS - {fault.physics}
+    assert set(fault.special_cases) <= (CATALOGUE | SIGNALS) - {fault.physics}
     assert fault.options.keys() | fault.finer.keys() <= cls.options.keys()
     for name, value in fault.options.items():
         option = cls.options[name]
