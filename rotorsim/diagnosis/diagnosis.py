@@ -17,7 +17,7 @@ from rotorsim.diagnosis.conclude.validation import Proof, is_faint, material_eff
 from rotorsim.diagnosis.conclude.wording import next_experiment, statement
 from rotorsim.diagnosis.evidence.disturbance import is_unpredicted
 from rotorsim.diagnosis.evidence.evidence import Evidence
-from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.evidence.open import Opened, open_evidence
 from rotorsim.diagnosis.search.selection import Selection, select_effects, without_effects
 from rotorsim.diagram.diagram import Diagram
@@ -74,6 +74,10 @@ def _diagnosed(
     if opened.base.failure:
         raise RotorsimError(Problem(opened.base.failure, diagram.name), exit_code=1 if listener().mishaps else 2)
     evidence, selection = opened.evidence, select_effects(opened.base, opened.evidence, opened.catalogue, jobs)
+    found = fitted_again(opened.base, selection, evidence)
+    if found is not None:
+        opened = replace(opened, base=found, before=found if opened.before is opened.base else opened.before)
+        selection = select_effects(found, evidence, opened.catalogue, jobs)
     base = opened.base
     for n in range(RECALIBRATIONS):
         with one_thread():
@@ -94,6 +98,20 @@ def _diagnosed(
     with one_thread():
         remarks = diagnosis.evidence.remarks(diagnosis.before, diagnosis.after, inserted)
     return replace(diagnosis, statement=" ".join([diagnosis.statement, *remarks]))
+
+
+def fitted_again(base: Fit, selection: Selection, evidence: Evidence) -> Fit | None:
+    """Return the fit of the diagram from its parameters beside what leaves least, where it then explains the data.
+
+    Its first fit ended in another minimum, from which any law may lead on; else None.
+    """
+    nearest = selection.first.nearest
+    if is_adequate(base) or nearest is None or not is_adequate(nearest.fit):
+        return None
+    start = {item.name: nearest.fit.values[item.name] for item in base.free if item.name in nearest.fit.values}
+    with one_thread():
+        again = replace(evidence.fit(base.document, [[start]]), mesh=base.mesh)
+    return again if is_adequate(again) else None
 
 
 def parts_without_role(diagram: Diagram) -> list[Problem]:

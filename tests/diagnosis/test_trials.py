@@ -10,6 +10,7 @@ from rotorsim.blocks.signals.disturbance import Disturbance
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot
 from rotorsim.diagnosis.catalogue.values import structure_of
+from rotorsim.diagnosis.diagnosis import fitted_again
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass, likely_spots
@@ -396,3 +397,27 @@ def test_a_law_that_stands_for_a_simpler_one_brings_it_in_from_where_it_is():
     apart = Candidate(best.insertion, replace(fit, theta=np.array([0.02, 1.2, 0.4])))
     assert apart.simpler is None
     assert Trials._meant(trials, left(10.0), [apart], untried) == []
+
+
+def test_a_diagram_is_fitted_again_from_what_explains_the_data():
+    """FAULT: the fit of a healthy beam ended in another minimum, and eleven laws were named that led out of it."""
+    free = (Free("gain", "gain", 0, 1.0, "1", 0.0, 9.0),)
+    base = replace(left(3.0), document={"name": "beam"}, free=free, theta=np.array([1.0]), mesh=7.0)
+    law = candidate("mass_error", 0.8 * ROWS, 2)
+    law.fit = replace(left(0.8), free=(*free, Free("mass", "mass", 0, 0.0, "kg", 0.0, 9.0)), theta=np.array([2.0, 5.0]))
+    asked = []
+
+    def again(times, first=law, start=base):
+        fit = lambda document, starts: asked.append((document, starts)) or left(times)  # noqa: E731
+        return fitted_again(start, SimpleNamespace(first=Round(start, (first,))), SimpleNamespace(fit=fit))
+
+    assert again(2.0) is None  # it lacks what the law adds
+    found = again(0.8)
+    assert found.misfit == 0.8 * ROWS
+    assert found.mesh == 7.0
+    assert asked == 2 * [({"name": "beam"}, [[{"gain": 2.0}]])]
+    worse = candidate("rub", 2.0 * ROWS, 1)
+    worse.fit = left(2.0)
+    assert again(0.8, first=worse) is None  # nothing explains them
+    assert again(0.8, start=replace(base, goodness=0.5)) is None  # it does already
+    assert len(asked) == 2
