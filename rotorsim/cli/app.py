@@ -271,7 +271,7 @@ def rotorsim() -> None:
 def main() -> NoReturn:
     """Run the command line of this process, with one thread of linear algebra unless its environment says otherwise.
 
-    Matrices are many and small: beside other programs two threads took ten times the CPU time of one.
+    Matrices are many and small: threads that wait for one another spin, above all beside other programs.
     """
     for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)

@@ -57,7 +57,8 @@ def unbalance_response(
     """Return the settled response of two-axis signals to unbalance in each plane, about the operating point.
 
     f = u W^2 (1, -i) exp(i W t) in (x, y), at planes such as ``rotor.force[4]``; sampled controllers exactly, at the
-    frequency of the speed. What else drives the diagram is left out. stability: False looks at no poles.
+    frequency of the speed. What else drives the diagram is left out. stability: False looks at no poles, and
+    ``stable`` is empty.
 
     Raises RotorsimError as `linearise`, without a diagram parameter ``speed``, and for ports that do not exist.
     """
@@ -88,7 +89,7 @@ def unbalance_response(
         planes=tuple(planes),
         signals=tuple(signals),
         response=np.array(made),
-        stable=between(values, values[sorted(looked)], np.array(stable)) if stability else np.ones(len(values), bool),
+        stable=between(values, values[sorted(looked)], np.array(stable)) if stability else np.zeros(0, bool),
         notes=notes,
         provenance=provenance(model, parameters, "unbalance_response"),
     )

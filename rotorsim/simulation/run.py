@@ -75,10 +75,14 @@ def simulate(
     instance = make_instance(model, watched, p, use_compiler=use_compiler)
     prepared = clock.process_time()
     if initial is not None:
-        given_states = np.asarray(initial, float)
-        instance.x[:] = given_states[: model.n_x]
-        if len(given_states) > model.n_x:
-            instance.z[:] = given_states[model.n_x :]
+        states = np.asarray(initial, float)
+        if states.shape not in ((model.n_x,), (model.n_x + model.n_z,)):
+            whole = f", or {model.n_x + model.n_z} with those of its sampled blocks behind" if model.n_z else ""
+            what = f"states of shape {states.shape}: the diagram has {model.n_x}{whole}"
+            raise RotorsimError(Problem(what, "initial"))
+        instance.x[:] = states[: model.n_x]
+        if len(states) > model.n_x:
+            instance.z[:] = states[model.n_x :]
     n_steps = max(math.ceil(end / h - 1e-9), 1)  # a stop between two steps is covered
     if every > n_steps:
         what = f"every {every:.6g}th step of {n_steps} is recorded: nothing but the start"

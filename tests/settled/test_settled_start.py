@@ -191,3 +191,17 @@ def test_where_there_is_none(machine, text: str) -> None:
     with pytest.raises(RotorsimError) as caught:
         settled_start(load(machine))
     assert str(caught.value) == text
+
+
+@pytest.mark.parametrize("shape", [(1,), (7,), (6, 2)])
+def test_states_that_are_none_of_the_diagram_are_refused(shape: tuple[int, ...]) -> None:
+    """FAULT: one state too many was given to every sampled block, one alone to every other."""
+    model = load(sampled(1e-4, 130.0)[0])
+    count = len(settled_start(model))
+    for diagram, known in ((load("jeffcott"), "6"), (model, f"4, or {count} with those of its sampled blocks behind")):
+        with pytest.raises(RotorsimError) as caught:
+            simulate(diagram, initial=np.zeros(shape), stop=0.01)
+        assert [problem.what for problem in caught.value.problems] == [
+            f"states of shape {shape}: the diagram has {known}"
+        ]
+        assert caught.value.problems[0].subject == "initial"

@@ -48,7 +48,7 @@ def speed_curve(
             between = (speeds[where] + speeds[where + 1]) / 2
             values = np.insert(values, where + 1, settled_harmonics(runs, members[0], between, signal, orders), axis=0)
             speeds = np.insert(speeds, where + 1, between)
-    if not _meets(runs, own, signal, orders, speeds, values):
+    if not meets(runs, own, signal, orders, speeds, values):
         return None
     noise = min(float(runs.measured(r, signal).noise.min()) for r in range(len(every)))
     least = max(ZERO_SHARE * float(np.nanmax(np.abs(values), initial=0.0)), UNSEEN * noise)
@@ -69,7 +69,7 @@ def speed_range(runs: PredictedRuns, group: str) -> np.ndarray | None:
     return np.asarray(ends * np.sign(every[runs.groups[group][0]]))
 
 
-def _meets(
+def meets(
     runs: PredictedRuns,
     members: Sequence[int],
     signal: Signal,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import Any
@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MultipleLocator, NullFo
 from rotorsim.criteria import Z90
 from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.comparison.harmonics import Comparison, PredictedRuns, Signal
-from rotorsim.report.comparison.speed_curves import speed_curve, speed_range
+from rotorsim.report.comparison.speed_curves import meets, speed_curve, speed_range
 from rotorsim.report.style import (
     BLUE,
     GREEN,
@@ -64,10 +64,24 @@ class _Set:
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """Fitted runs with the settings of a set of others."""
+    """Fitted runs with the settings of a set of others; diagrams: beside all of them, by their labels."""
 
-    runs: PredictedRuns
+    diagrams: Mapping[str, PredictedRuns]
     members: Sequence[int]
+
+    @property
+    def runs(self) -> PredictedRuns:
+        return [*self.diagrams.values()][-1]
+
+    @property
+    def reach(self) -> np.ndarray | None:
+        """The lowest and the highest speed (2,) [rad/s]."""
+        return speed_range(self.runs, self.runs.group_of(self.members[0]))
+
+    def meet(self, label: str, panels: _Panels, curve: Curve) -> bool:
+        """Return whether a curve goes through the motion that its diagram has in these runs."""
+        own = self.diagrams.get(label)
+        return own is not None and meets(own, self.members, panels.signal, panels.orders, *curve)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +121,7 @@ def speed_curves_figure(
             axes.set_title(f"{order}X{kind}{only}", loc="left", fontsize=9)
             axes.set_yscale("log")
         for item in row:
-            _draw_set(panels, item, None if fitted is None else _of_set(fitted.runs, item, signal, orders))
+            _draw_set(panels, item, None if fitted is None else _of_set(fitted, item, signal, orders))
         for upper, lower in half.T:
             _plain_ticks(upper, lower)
         half[0, 0].set_ylabel(f"{signal.title}\n[{of_amplitude(display(1.0, signal.unit)[1])}]")
@@ -156,14 +170,16 @@ def _plain_ticks(upper: Axes, lower: Axes) -> None:
     lower.yaxis.set_major_locator(MultipleLocator(next((s for s in PHASE_STEPS if span / s <= 5), 180)))
 
 
-def _of_set(fitted: PredictedRuns, item: _Set, signal: Signal, orders: np.ndarray) -> _Fitted | None:
+def _of_set(fitted: Comparison, item: _Set, signal: Signal, orders: np.ndarray) -> _Fitted | None:
     """Return the fitted runs that have the settings of some others; None without any."""
-    one, other = item.runs.experiment, fitted.experiment
+    one, other = item.runs.experiment, fitted.runs.experiment
     if signal.x not in other.predicted or one.p.shape[1] != other.p.shape[1]:
         return None
     still, p = ~item.runs.follows_speed, one.p[item.runs.groups[item.group][0]]
     members = [r for r, row in enumerate(other.p) if np.array_equal(row[still], p[still])]
-    return _Fitted(fitted, members) if members and set(orders) <= set(fitted.orders(signal)) else None
+    if not members or not set(orders) <= set(fitted.runs.orders(signal)):
+        return None
+    return _Fitted({look.label: runs for look, runs in fitted.diagrams}, members)
 
 
 def _draw_set(panels: _Panels, item: _Set, fitted: _Fitted | None) -> None:
@@ -171,15 +187,15 @@ def _draw_set(panels: _Panels, item: _Set, fitted: _Fitted | None) -> None:
     members = sorted(item.runs.groups[item.group], key=lambda r: item.runs.speeds[r])
     for look, runs in item.diagrams:
         group = item.group if item.group in runs.groups else runs.group_of(members[0])
-        reach = None if fitted is None else speed_range(fitted.runs, fitted.runs.group_of(fitted.members[0]))
-        curve = speed_curve(runs, group, panels.signal, panels.orders, reach)
+        curve = speed_curve(runs, group, panels.signal, panels.orders, None if fitted is None else fitted.reach)
         form: dict[str, Any] = {"ls": look.line, "color": look.colour, "label": look.label}
         if curve is None:
             form |= {"ls": "none", "marker": look.marker, "ms": 9, "mfc": "none"}
             columns = np.searchsorted(runs.orders(panels.signal), panels.orders)
             curve = runs.speeds[members], np.array([runs.prediction(r, panels.signal)[columns] for r in members])
-        elif reach is not None:
-            _draw_curve(panels, curve, {"color": look.colour, "ls": look.line, "lw": 0.8, "zorder": 1})
+        elif fitted is not None:
+            if fitted.meet(look.label, panels, curve):
+                _draw_curve(panels, curve, {"color": look.colour, "ls": look.line, "lw": 0.8, "zorder": 1})
             curve = _within(curve, speed_range(runs, group))
         panels.branches[:] = _draw_curve(panels, curve, form)
     _draw_points(panels, item.runs, members, item.measured)
