@@ -81,7 +81,7 @@ def at_best_places(
         most = NEAR_PROMISE * max(promises[best].misfit, before.freedom)
         least = (before.misfit - promises[best].misfit) / NEAR_PROMISE
         near = [k for k in others if promises[k].misfit <= min(most, before.misfit - least)]
-        count = SURE_PLACES if promises[best].exact else 1
+        count = SURE_PLACES if promises[best].exact else 0
         kept += [best, *near[:count]]
         elsewhere += near[count:RIVAL_PLACES]
     return kept, elsewhere

@@ -45,7 +45,8 @@ class HarmonicEvidence(HarmonicRuns, Validated):
 
     def fit(self, document: Mapping[str, Any], starts: Starts, effort: Effort = TO_THE_END) -> Fit:
         """Return the best fit of a diagram; see `fit_document`."""
-        return fit_document(document, self, starts, most=effort.most, linear_only=effort.linear_only)
+        most, linear_only, beyond = effort.most, effort.linear_only, effort.beyond
+        return fit_document(document, self, starts, most=most, linear_only=linear_only, beyond=beyond)
 
     def promise(self, document: Mapping[str, Any], starts: Starts) -> float:
         """Return the misfit that one step from the best start promises; see `promise_of`."""

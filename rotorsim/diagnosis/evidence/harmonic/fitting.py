@@ -24,6 +24,7 @@ START_ANGLES = 8  # values over a turn of a new angle that enters in more than o
 NONLINEAR_TRIALS = 8  # of a group, of which the best is followed
 PROMISE_TRIALS = 2  # of a nonlinear diagram, twice as many of a linear one
 LINEAR_EVALUATIONS = 12  # for one of a nonlinear diagram
+FOLLOWED_FROM = 15  # evaluations of a nonlinear diagram, after which what leaves too much is no rival
 LINEAR_STARTS = 2  # that are followed to the end
 LINEAR_FOLLOWED = 4  # one more of a group, from the most promising on, for so many starts that a fault declares
 CORNERS, SHARP_EVALUATIONS = 20.0, 8  # misfit over equations that more orders of a law with corners may explain
@@ -39,12 +40,14 @@ def fit_document(
     *,
     most: int | None = None,
     linear_only: bool = False,
+    beyond: float = np.inf,
 ) -> Fit:
     """Return the best fit of a diagram from the best of each group of starts {free parameter: SI value}.
 
     What a start does not name begins as written; angles that it names are tried all around. most: evaluations of a
     nonlinear diagram from each start, times LINEAR_EVALUATIONS of a linear one (default: until it has converged).
-    linear_only: a nonlinear diagram is not fitted, its failure is DEFERRED.
+    linear_only: a nonlinear diagram is not fitted, its failure is DEFERRED. beyond: a misfit; a nonlinear diagram that
+    leaves more after FOLLOWED_FROM evaluations is not followed.
     """
     began = process_time()
     nonlinear = False
@@ -54,7 +57,7 @@ def fit_document(
         if nonlinear and linear_only:
             return Fit(document, failure=DEFERRED, nonlinear=True, seconds=process_time() - began)
         search = Search(Likelihood(experiment))
-        best = _best(search, experiment, starts, most)
+        best = _best(search, experiment, starts, most, beyond if nonlinear else np.inf)
         if nonlinear and most is None and EXPLAINS < best.misfit / max(best.evaluation.rows, 1) < CORNERS:
             best = _sharpened(search, best)
     except FAILURES as error:
@@ -130,7 +133,7 @@ def _alone(estimate: Estimate) -> np.ndarray:
     return out
 
 
-def _best(search: Search, experiment: Experiment, starts: Starts, most: int | None) -> Estimate:
+def _best(search: Search, experiment: Experiment, starts: Starts, most: int | None, beyond: float) -> Estimate:
     nonlinear = not experiment.motion.is_linear
     chosen: list[np.ndarray] = []
     assert isinstance(search.likelihood, Likelihood)
@@ -149,7 +152,13 @@ def _best(search: Search, experiment: Experiment, starts: Starts, most: int | No
     limit = MOST_EVALUATIONS if most is None else most if nonlinear else LINEAR_EVALUATIONS * most
 
     def followed(q: np.ndarray) -> np.ndarray | None:
-        return search.minimise(q, most=limit) if np.isfinite(search.residual(q)).all() else None
+        if not np.isfinite(search.residual(q)).all():
+            return None
+        if limit > FOLLOWED_FROM and beyond < np.inf:
+            q = search.minimise(q, most=FOLLOWED_FROM)
+            if float(search.residual(q) @ search.residual(q)) > beyond:
+                return q
+        return search.minimise(q, most=limit)
 
     for found in surviving(followed, chosen):
         if found is None:
