@@ -110,7 +110,7 @@ def fitted_again(base: Fit, selection: Selection, evidence: Evidence) -> Fit | N
         return None
     start = {item.name: nearest.fit.values[item.name] for item in base.free if item.name in nearest.fit.values}
     with one_thread():
-        again = replace(evidence.fit(base.document, [[start]]), mesh=base.mesh)
+        again = evidence.fit(base.document, [[start]])
     return again if is_adequate(again) else None
 
 

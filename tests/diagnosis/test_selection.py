@@ -40,7 +40,7 @@ def chosen(*tried: SimpleNamespace) -> list[str]:
     order = tuple(sorted(tried, key=lambda item: item.fit.criterion))
     trials = SimpleNamespace(
         round=lambda before: Round(before, order),
-        evidence=None,
+        evidence=SimpleNamespace(refines_meshes=lambda document: False),
         counts={},
         nominal={},
         slack=0.0,
@@ -98,13 +98,13 @@ def test_a_false_alarm_has_the_probability_of_one_percent_whatever_is_tried():
     assert least_gain(two, base, level) == pytest.approx(10.597, abs=1e-3)
 
 
-def test_what_finer_meshes_may_change_is_no_reason_for_a_name():
-    base = Fit({}, misfit=1000.0, rows=ROWS - 20, equations=ROWS, goodness=0.5, mesh=98.0)
+def test_meshes_may_be_wrong_by_a_tenth_of_the_equations():
+    base = Fit({}, misfit=1000.0, rows=ROWS - 20, equations=ROWS, goodness=0.5)
     for gain, found in ((104.0, []), (105.0, ["rub"])):  # 98 and chi-squared of one unknown, 1 %: 6.6
         item = candidate("rub", 1000.0 - gain, 1)
         trials = SimpleNamespace(
             round=lambda before, item=item: Round(before, (item,)),
-            evidence=None,
+            evidence=SimpleNamespace(refines_meshes=lambda document: True),
             counts={},
             nominal={},
             slack=0.0,
@@ -131,7 +131,7 @@ def test_another_effect_must_explain_nine_tenths_of_what_is_left(second, goodnes
         item.fit = replace(item.fit, rows=ROWS, goodness=0.0 if item is first else goodness)
     trials = SimpleNamespace(
         round=lambda before: rounds.get(before.misfit, Round(before, ())),
-        evidence=None,
+        evidence=SimpleNamespace(refines_meshes=lambda document: False),
         counts={},
         nominal={},
         slack=0.0,
@@ -169,7 +169,7 @@ def test_a_pair_of_which_one_hides_the_other_is_begun_anew_with_its_second():
 
     trials = SimpleNamespace(
         round=searched,
-        evidence=None,
+        evidence=SimpleNamespace(refines_meshes=lambda document: False),
         counts={},
         nominal={},
         slack=0.0,
@@ -196,7 +196,7 @@ def test_several_effects_that_leave_noise_by_another_measure_of_it_are_not_searc
 
     trials = SimpleNamespace(
         round=searched,
-        evidence=None,
+        evidence=SimpleNamespace(refines_meshes=lambda document: False),
         counts={},
         nominal={},
         slack=0.0,
@@ -511,7 +511,7 @@ def test_before_another_effect_is_looked_for_nothing_is_left_out_that_promises_a
 
     trials = SimpleNamespace(
         round=lambda before: Round(before, (mode,), untried=((delay.insertion, ({}, [])),)),
-        evidence=None,
+        evidence=SimpleNamespace(refines_meshes=lambda document: False),
         counts={},
         slack=0.0,
         completed=completed,

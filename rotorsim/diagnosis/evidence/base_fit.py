@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,36 +48,32 @@ def base_fit(diagram: Diagram, evidence: Evidence) -> tuple[Fit, list[str]]:
     """Return the fit of a diagram to a recording, on meshes so fine that finer ones change nothing; what was refined.
 
     A block that declares ``refinement`` is refined until a finer mesh changes the whitened prediction by less than
-    `Criteria.mesh_visible` of the equations (sum of squares). ``mesh`` of the fit: what all finer ones may change.
+    `Criteria.mesh_visible` of the equations (sum of squares).
     """
     found = evidence.fit(with_uncertain(diagram), [])
     notes: list[str] = []
-    rest = 0.0
     for name, node in diagram.nodes.items():
         option = node.block.refinement
         if option is None or found.failure:
             continue
         level = int(getattr(node.block.option, option))
-        change = _change(found, evidence, name, option, 2 * level)
-        while level < FINEST and change > CRITERIA.mesh_visible * found.rows:
+        while level < FINEST and _shows(found, evidence, name, option, 2 * level):
             finer = evidence.fit(_with_option(found.document, name, option, 2 * level), [])
             if finer.failure:
                 break
             found, level = finer, 2 * level
             notes.append(f"{name}: {option} {level}, for what the coarser mesh gets wrong shows in these data")
-            change = _change(found, evidence, name, option, 2 * level)
-        rest += CRITERIA.mesh_rest * change
-    return replace(found, mesh=rest), notes[-1:]
+    return found, notes[-1:]
 
 
-def _change(fit: Fit, evidence: Evidence, block: str, option: str, value: int) -> float:
-    """Return the sum of squares by which a finer mesh changes the whitened prediction of a fit; 0 if none is known."""
+def _shows(fit: Fit, evidence: Evidence, block: str, option: str, value: int) -> bool:
+    """Return whether a finer mesh changes what the fit predicts by more than the data can tell."""
     document = values_in(fit.document, fit.values)
     coarse, fine = (evidence.residual(d) for d in (document, _with_option(document, block, option, value)))
     if coarse is None or fine is None:
-        return 0.0
+        return False
     change = fine - coarse
-    return float(change @ change)
+    return float(change @ change) > CRITERIA.mesh_visible * fit.rows
 
 
 def _with_option(document: Mapping[str, Any], block: str, option: str, value: int) -> Mapping[str, Any]:

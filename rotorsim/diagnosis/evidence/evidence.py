@@ -215,6 +215,9 @@ class Evidence(Protocol):
     def score(self, fit: Fit) -> Score:
         """Return the score of a fit on hold-out runs, or on parts of the recording left out one by one."""
 
+    def refines_meshes(self, document: Mapping[str, Any]) -> bool:
+        """Return whether errors of a mesh in the diagram may show in the residual."""
+
     def bounds(self, fit: Fit, better: Fit | None = None) -> Bounds | None:
         """Return lower bounds of the misfit beside a fit, None where there are none (it is not linear).
 
@@ -298,6 +301,10 @@ class Defaults:
     def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
         """Return None: meshes are taken as they are."""
         return None
+
+    def refines_meshes(self, document: Mapping[str, Any]) -> bool:
+        """Return False: errors of meshes are below those of the evidence."""
+        return False
 
     def bounds(self, fit: Fit, better: Fit | None = None) -> Bounds | None:
         """Return None: nothing is known of places but by trying them."""

@@ -69,8 +69,7 @@ class Fit:
     equations are elsewhere failed, or the process, which says nothing of the diagram. nonlinear: in its states.
     seconds: CPU time. standing: nuisance parameters of the diagram as given (default: all of this one). line_misfit,
     line_rows: |r|^2 and equations of the asynchronous lines. ends (m, 2): 90 % intervals within the bounds. alone (m,):
-    standard deviations with all other parameters of the same block known. mesh: of the misfit of the diagram as given,
-    what finer meshes may change.
+    standard deviations with all other parameters of the same block known.
     """
 
     document: Mapping[str, Any]
@@ -93,7 +92,6 @@ class Fit:
     line_rows: int = 0
     ends: np.ndarray = field(default_factory=_empty)
     alone: np.ndarray = field(default_factory=_empty)
-    mesh: float = 0.0
 
     @property
     def freedom(self) -> int:

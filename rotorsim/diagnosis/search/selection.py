@@ -92,7 +92,7 @@ def select_effects(
 def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Selection:
     trials.nominal = {item.name: item.value for item in base.free if item.unit != ANGLE_UNIT}
     trials.unsized = frozenset(item.name for item in base.free if not (item.scale or item.value))
-    trials.slack = slack = base.mesh
+    trials.slack = slack = CRITERIA.mesh_error * base.rows if trials.evidence.refines_meshes(base.document) else 0.0
     first = _round(trials, base)
     level = _level(first)
     worth = _noticed(first.tried, base, level, slack) if is_adequate(base) else first.tried

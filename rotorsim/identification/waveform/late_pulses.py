@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.along_angle import turned_later
 from rotorsim.identification.waveform.data import Channels, SampledRun
@@ -25,7 +26,6 @@ from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearc
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 
 LATE_PASSES = 2  # Gauss-Newton steps: what is left is of second order in an angle of a few degrees
-LEAST_SEEN = 0.1  # of the variance of the noise, by which signals that are late must differ
 LARGEST = 2.0  # standard deviations: a period before and after the sample is 2.4
 
 
@@ -72,7 +72,8 @@ def _shows(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], noi
     speeds = [name for name in clock_ports(diagram) if name.endswith(".speed")]
     turned = late * max(float(np.nanmax(np.abs(run.values[name]))) for run in runs for name in speeds)
     squares = {name: max(float(np.nanmean(run.values[name] ** 2)) for run in runs) for name in channels.outputs}
-    return any(turned**2 * squares[name] > LEAST_SEEN * noise.variance[WHOLE_DIAGRAM, name] for name in squares)
+    least = CRITERIA.mesh_error
+    return any(turned**2 * squares[name] > least * noise.variance[WHOLE_DIAGRAM, name] for name in squares)
 
 
 def _step(

@@ -18,7 +18,7 @@ from rotorsim.diagnosis.evidence.harmonic.fitting import fit_document, promise_o
 from rotorsim.diagnosis.evidence.harmonic.force import unknown_force
 from rotorsim.diagnosis.evidence.harmonic.laws import LawsBeside
 from rotorsim.diagnosis.evidence.harmonic.residual import is_force, residual_place
-from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
+from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns, has_mesh
 from rotorsim.diagnosis.evidence.harmonic.scoring import held_score, left_out_score, predict, standardised
 from rotorsim.diagnosis.evidence.harmonic.separation import best_change
 from rotorsim.diagnosis.evidence.validated import Validated
@@ -59,6 +59,10 @@ class HarmonicEvidence(HarmonicRuns, Validated):
             return Likelihood(experiment).evaluate(experiment.theta0).residual
         except FAILURES:
             return None
+
+    def refines_meshes(self, document: Mapping[str, Any]) -> bool:
+        """Return whether a block of the diagram is a mesh, which is never exact."""
+        return has_mesh(self.load(document))
 
     def bounds(self, fit: Fit, better: Fit | None = None) -> LowerBounds | None:
         """Return lower bounds of the misfit for every place, see `open_bounds`; none of laws, beside a better fit."""

@@ -42,7 +42,7 @@ def open_orders(
         if other is None:
             break
         evidence = other
-        base = replace(evidence.fit(base.document, [[base.values]]), mesh=base.mesh)
+        base = evidence.fit(base.document, [[base.values]])
     if not base.failure:
         evidence = replace(evidence, sizes=_sizes(evidence, base), doubts=doubts_of(evidence, base))
     notes = [Problem(note, severity="warning") for note in refined]
