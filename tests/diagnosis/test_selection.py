@@ -239,7 +239,11 @@ def test_rivals_are_compared_with_what_was_found_beside_them_at_last():
         return replace(given, tried=(square, gain)) if "square" in physics else given
 
     trials = SimpleNamespace(
-        round=lambda before: Round(before, (gain,)), evidence=None, counts={}, slack=0.0, completed=completed
+        round=lambda before: Round(before, (gain,)),
+        evidence=SimpleNamespace(refines_meshes=lambda document: False),
+        counts={},
+        slack=0.0,
+        completed=completed,
     )
     found = _selected(trials, base)
     assert [item.insertion.physics for item in found.chosen] == ["square"]
