@@ -94,7 +94,8 @@ class Fault:
     - "wire": the block stands in a wire that leads from a block of category ``between[0]`` to one of category
       ``between[1]`` ("*": to every block); ``through`` maps its inputs to its outputs. The wire is known by the name
       of the input (the output of that name of the source); further outputs go to optional inputs of their name. With
-      ``recorded`` "after" a recording of that signal means the block's output, with "before" its input.
+      ``recorded`` "after" a recording of that signal means the block's output, with "before" its input. ``joined``:
+      whether only the blocks that take the first of ``through`` take the others from here.
     - "reading": only the recording sees the block's output (``through``), not the diagram.
     - "signal": the block's ``output`` takes the place of any scalar signal, its ``input``: for all blocks that take it,
       for one of several, for its recording, or for all of these. Of diagrams in which nothing turns. ``argument``: an
@@ -143,6 +144,7 @@ class Fault:
     own: str = ""
     of_integral: str = ""
     recorded: str = "after"
+    joined: bool = False
     inherits: tuple[str, ...] = ()
     law: str = ""
     adds: bool = False

@@ -14,6 +14,7 @@ def _fault(physics: str, recorded: str, **words: Any) -> Fault:
         between=("clock", "*"),
         through={"theta": "angle", "speed": "rate", "acceleration": "angular_acceleration"},
         recorded=recorded,
+        joined=True,
         free={"amplitude": (1e-3,)},
         fixed={"frequency": Lines()},
         **words,
@@ -26,8 +27,10 @@ class SpeedFluctuation(Block):
     angle = theta + amplitude sin(frequency t + phase),   its rate = W + amplitude frequency cos(frequency t + phase)
     angular_acceleration = W' - amplitude frequency^2 sin(frequency t + phase)
 
-    It stands between the clock and everything that turns. Each order k gets sidebands at k W +- frequency. A disc that
-    swings by torsion against a drive that turns evenly is the same, but for the pulses of the drive.
+    It stands between the clock and everything that takes the angle. Each order k gets sidebands at k W +- frequency. A
+    disc that swings by torsion against a drive that turns evenly is the same, but for the pulses of the drive. What
+    takes the speed alone, a gyroscopic moment, keeps the mean: of the moment I_p W psi' of a disc whose slope is psi,
+    amplitude frequency / W, beside twice that of its unbalance, is left out.
     """
 
     source = "Friswell et al. (2010), ch. 9 (torsion); Randall, Vibration-based Condition Monitoring (2011), ch. 2"

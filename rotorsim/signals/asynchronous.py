@@ -12,10 +12,12 @@ from scipy.stats import binom, chi2
 
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording
+from rotorsim.signals.angle_refinement import refined_angle
 from rotorsim.signals.harmonic_basis import Basis, harmonic_basis
 from rotorsim.signals.harmonic_fit import NEAR, HarmonicFit, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics, samples_of, with_one_noise
 from rotorsim.signals.lines import FEWEST_PERIODS, Spectrum, faint_line, spectrum_of
+from rotorsim.signals.shaft_angle import SLOPE, ShaftAngle
 from rotorsim.signals.whitening import FALSE_ALARM
 
 SIDEBANDS = 5  # combinations k W + nu with |k| up to this
@@ -293,9 +295,8 @@ def fitted_frequency(
 def _misfit(nu: Asynchronous, recording: Recording, runs: Sequence[RunHarmonics]) -> Callable[..., float]:
     """Return the residual of harmonics and combinations, in variances of the noise, as a function of the frequency."""
     parts = []
-    for item in runs:
-        time = item.run.time
-        theta = _even(item, nu.at(item.fit.speed))[0] if nu.even else item.angle.theta
+    for item, angle in zip(runs, _angles(recording, runs, nu), strict=True):
+        time, theta = item.run.time, angle.theta
         basis, left = _residual(recording, item, theta)
         scale = abs(item.fit.speed) if nu.follows else 1.0
         own = [np.exp(1j * k * theta) for k in nu.orders]
@@ -317,14 +318,29 @@ def _misfit(nu: Asynchronous, recording: Recording, runs: Sequence[RunHarmonics]
     return misfit
 
 
-def _even(item: RunHarmonics, nu: float) -> tuple[np.ndarray, float]:
-    """Return the angle of a shaft that turns evenly but for a swing at nu [rad/s], without the swing.
+def _angles(recording: Recording, runs: Sequence[RunHarmonics], nu: Asynchronous) -> list[ShaftAngle]:
+    """Return the angles of runs: as measured, or of a shaft that turns evenly but for a swing, without the swing.
 
-    With the standard deviation of angle zero, from the residual of the pulses.
+    Those are refined by the harmonics, as every angle of pulses is; the pulses of all runs jitter by one time.
     """
-    best, middle, left = _swing(item, nu)
-    variance = float(left @ left) / max(len(left) - len(best), 1)
-    return np.asarray(best[0] + best[1] * (item.run.time - middle)), float(np.sqrt(variance / len(left)))
+    if not nu.even:
+        return [item.angle for item in runs]
+    swings = [_swing(item, nu.at(item.fit.speed)) for item in runs]
+    free = sum(max(len(left) - len(best), 0) for best, _, left in swings)
+    late = [left / item.fit.speed for item, (best, _, left) in zip(runs, swings, strict=True) if len(left) > len(best)]
+    jitter = float(np.sqrt(sum(float(each @ each) for each in late) / max(free, 1)))
+    angles = []
+    for item, (best, middle, left) in zip(runs, swings, strict=True):
+        time, size, n = item.run.time, abs(item.fit.speed) * jitter, len(left)
+        smooth = float(np.hypot(SLOPE * size / np.sqrt(n), item.angle.alike))
+        theta = np.asarray(best[0] + best[1] * (time - middle))
+        angle = replace(item.angle, theta=theta, jitter=size, smooth=smooth, contradicted=False)
+        if angle.pulses:
+            signals = np.column_stack(list(samples_of(recording, item.run, angle).signals.values()))
+            basis = harmonic_basis(item.fit.run, time, theta, orders=int(item.fit.orders[-1]))
+            angle = refined_angle(time, angle, signals, basis)[0]
+        angles.append(angle)
+    return angles
 
 
 def _swing(item: RunHarmonics, nu: float | None) -> tuple[np.ndarray, float, np.ndarray]:
@@ -353,13 +369,11 @@ def with_asynchronous(
     """
     kept, lost = [], []
     with one_thread():
-        for item in runs:
-            at = nu.at(item.fit.speed)
-            theta, std = _even(item, at) if nu.even else (item.angle.theta, item.angle.std)
+        for item, angle in zip(runs, _angles(recording, runs, nu), strict=True):
             fit = fit_harmonics(
-                replace(samples_of(recording, item.run, item.angle, item.lost), theta=theta, angle_std=std),
+                samples_of(recording, item.run, angle, item.lost),
                 orders=int(item.fit.orders[-1]),
-                second=(at, np.array(nu.orders)),
+                second=(nu.at(item.fit.speed), np.array(nu.orders)),
                 pickups=list(item.fit.pickups),
                 hum=item.fit.hum,
             )

@@ -18,7 +18,9 @@ from rotorsim.diagram.diff import diff
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.jobs.jobs import Jobs
+from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
+from rotorsim.settled.equations import is_linear
 
 RECORDED = ["rotor.displacement[1]", "rotor.displacement[2]", "controller.current[1]", "controller.current[2]"]
 PROBES = [f"rotor.displacement[{node},{axis}]" for node in (2, 3, 4, 5) for axis in (1, 2)]
@@ -224,6 +226,19 @@ def test_a_fluctuation_passes_on_the_acceleration_of_the_clock_and_its_own():
     assert [source for source, target in wires if target == "unbalance_elsewhere.acceleration"] == [
         "speed_fluctuation.angular_acceleration"
     ]
+
+
+@pytest.mark.parametrize("name", ["fe_rigid", "fe_flexible", "two_amb_rotor"])
+def test_a_swing_of_the_angle_leaves_gyroscopic_moments_their_mean_speed(name):
+    """FAULT: factors of states that change in time made beams nonlinear, and no swing of a beam was ever fitted."""
+    given = document(name)
+    [swing] = found(name, PROBES, "speed_fluctuation")
+    changed = swing.document(given)
+    fed = {target for source, target in changed["wires"] if source.startswith("speed_fluctuation.")}
+    assert {"crack.theta", "reference.theta"} <= fed
+    assert {target.partition(".")[2] for target in fed} == {"theta", "speed", "acceleration"}
+    assert ["clock.speed", "rotor.speed"] in changed["wires"]
+    assert is_linear(compile_diagram(load(changed)), ["rotor.displacement[3,1]"])
 
 
 def without(name: str, recorded: list[str], *keys: str) -> dict:

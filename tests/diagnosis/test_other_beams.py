@@ -1,13 +1,16 @@
 """Beams that another program made on another mesh, with its own equations (shared recordings)."""
 
+import json
 from pathlib import Path
 
 import pytest
 
+from benchmarks.concealed import sets
 from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.model.load import load
 from rotorsim.recordings.orders import load_any
 
+LINES = ("base_excitation", "speed_fluctuation", "torsion_coupling", "residual_bow")
 SHARED = Path(__file__).parents[3] / "shared" / "recordings"
 
 
@@ -31,3 +34,18 @@ def test_what_is_missing_is_named_and_nothing_where_nothing_is(case, named):
     found = diagnose(load("fe_rigid"), measured, hold_out=held, workers=2)
     assert [(effect.physics, str(effect.candidate.insertion.spot)) for effect in found.effects] == named
     assert found.verdict == ("missing_physics" if named else "consistent")
+
+
+@pytest.mark.slow
+def test_the_twist_of_a_disc_is_named_on_a_beam_and_measured(tmp_path):
+    """FAULT: no swing of a beam was fitted: lines at 56 Hz were found, and called outside the catalogue."""
+    sets.make(sets.plan(tmp_path, 1, 5, "one", "fe_flexible", ("torsion_coupling",)), 1)
+    [case] = [file.parent for file in tmp_path.glob("*/recording.json")]
+    truth = json.loads((tmp_path / "truth" / f"{case.name}.json").read_text())["effect"]
+    held = load_any(tmp_path / "hold_out" / case.name)
+    found = diagnose(load("fe_flexible"), load_any(case), hold_out=held, physics=LINES, workers=2)
+    [effect] = found.effects
+    assert set(effect.members) == {"speed_fluctuation", "torsion_coupling"}
+    assert found.score_after.total < 1.05 * found.score_after.noise < found.score_before.total
+    j = [item.name for item in found.after.free].index(f"{effect.physics}.amplitude")
+    assert abs(found.after.theta[j] - truth["phi"]) < 4 * found.after.std(j)

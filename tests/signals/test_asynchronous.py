@@ -1,6 +1,7 @@
 """A second frequency of lines that do not follow the shaft: found in closed-form signals, with honest uncertainty."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -407,6 +408,22 @@ def test_a_strong_slow_swing_of_many_harmonics_is_found():
     assert second is not None
     assert second.even
     assert abs(second.value - nu) < 3 * second.std < 1e-2 * nu
+
+
+def test_pulses_of_a_swinging_shaft_share_what_their_clock_leaves_open():
+    """FAULT: their common delay was taken off a covariance that did not hold it, which had no root then."""
+    data, _ = made(LINES, seed=4)
+    coarse = 1e-4
+    runs = [replace(run, tacho=coarse * np.ceil(run.tacho / coarse), tacho_resolution=coarse) for run in data.runs]
+    data = replace(data, runs=tuple(runs))
+    kept, _ = with_asynchronous(data, harmonics_of(data), Asynchronous(NU, 0.0, False, (-1, 0, 1), even=True))
+    assert len(kept) == len(SPEEDS)
+    for item in kept:
+        fit = item.fit
+        assert fit.stamp == pytest.approx(coarse / np.sqrt(6))
+        assert fit.angle_std >= fit.stamp * abs(fit.speed)
+        covariance = fit.covariance_at(np.arange(2), range(3), 1e-5, stamp=False)
+        assert np.linalg.eigvalsh(covariance).min() > 0
 
 
 def test_runs_in_which_twice_a_strong_swing_falls_on_harmonics_are_left_out():

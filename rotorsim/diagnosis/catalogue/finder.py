@@ -179,6 +179,7 @@ class _Finder:
         cut: Wires = []
         measured: dict[str, str] = {}
         feeds: dict[str, str] = {}
+        first: set[str] = set()  # blocks that take the first of the signals
         after = fault.recorded == "after"
         chain = self.chains.of(Endpoint(node.name, next(iter(fault.through)), index), fault.between[1])
         for key, output in fault.through.items():
@@ -191,12 +192,15 @@ class _Finder:
             taken = self.chains.targets(source, fault.between[1])
             if declared.optional and not taken and fault.between[1] != ANY:  # which has blocks that are to come
                 continue
+            if fault.joined and wires:
+                taken = [wire for wire in taken if wire.target.block in first]
             if after and start == chain.start:
                 taken += [wire for wire in self.chains.wires_to(source, chain.next) if wire not in taken]
             feeds[key] = str(start)
             wires.append((str(source), f"{name}.{key}"))
             cut += [(str(wire.source), str(wire.target)) for wire in taken]
             wires += [(f"{name}.{output}", str(wire.target)) for wire in taken]
+            first = first or {wire.target.block for wire in taken}
             if after and self._recorded_places(node, key) and self.diagram.measured.get(start, start) == source:
                 measured[str(start)] = f"{name}.{output}"
         wires += self._offered(name, wires)

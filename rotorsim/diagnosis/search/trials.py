@@ -88,6 +88,7 @@ class Trials:
         screening = Screening(self.evidence, self.work)
         screened = screening.screened(before, found, jobs, places, earlier) if many else screening.all(before, found)
         level = level_of(hypotheses)
+        called = [k for k in screened.kept if found[k].from_lines and k not in screened.laws]
 
         def is_out(k: int, first: Sequence[Fit]) -> bool:
             return is_beyond(screened.laws.get(k), before, first, noticed_from(len(found[k].free), level))
@@ -103,7 +104,7 @@ class Trials:
                 for item, (start, groups), near in zip(found, jobs, known, strict=True)
             ]
             promised = {k: one for k in kept if (one := screened.laws.get(k) or promises[k]) is not None}
-            begun = self._begun(before, jobs, kept, promised, is_out)
+            begun = self._begun(before, jobs, kept, promised, is_out, called)
             beyond = _beyond(before, [*begun.values()])
             effort = Effort(FIRST_EVALUATIONS, linear_only=True, beyond=beyond, lost=False)
             unsure = () if places is None or places.sure or is_adequate(before) else classes
@@ -119,7 +120,7 @@ class Trials:
             left = [k for k, one in enumerate(promises) if one is not None and k not in begun]
             untried = [(found[k], jobs[k]) for k in left]
         else:
-            begun = self._begun(before, jobs, screened.kept, screened.laws, is_out)
+            begun = self._begun(before, jobs, screened.kept, screened.laws, is_out, called)
         first = [*begun.values()]
         later = [k for k, fit in begun.items() if fit.failure == DEFERRED and not is_out(k, first)]
         begun = {k: fit for k, fit in begun.items() if fit.failure != DEFERRED or k in later}
@@ -231,18 +232,20 @@ class Trials:
         kept: Sequence[int],
         promised: Mapping[int, Promise],
         is_out: Callable[[int, Sequence[Fit]], bool],
+        called: Sequence[int],
     ) -> dict[int, Fit]:
         """Return first fits; where one of the most promising explains the data, no others that never will are followed.
 
         Of those that have lost the motion only the most promising are begun with short parts of the runs. kept: what is
         fitted; promised: where something is known of it. is_out: what is not fitted beside the most promising.
+        called: what lines of the recording call for, which nothing else explains: it is fitted first.
         """
         known = [k for k in kept if k in promised and promised[k].misfit < np.inf]
         by_promise = sorted(known, key=lambda k: promised[k].misfit)
-        order: list[int] = []
-        first: list[Fit] = []
-        for _ in range(MOST_BROKEN):
-            more = by_promise[len(order) : len(order) + MOST_PROMISING]
+        order = [*called]
+        first = self._fit([jobs[k] for k in order], Effort(FIRST_EVALUATIONS))
+        for n in range(0 if any(map(is_adequate, first)) else MOST_BROKEN):
+            more = by_promise[n * MOST_PROMISING : (n + 1) * MOST_PROMISING]
             first += self._fit([jobs[k] for k in more], Effort(FIRST_EVALUATIONS))
             order += more
             if not more or _is_kept(before, first, promised[more[0]]):
