@@ -170,10 +170,11 @@ def test_what_can_be_no_rival_of_the_most_promising_is_not_followed():
 
     jobs = [9e5, 1e3, 8e5, 2e4, 7e5, 6e5]
 
-    def begun(promised: list[float], out: set[int] = frozenset()) -> dict[int, Fit]:
+    def begun(promised: list[float], out: set[int] = frozenset(), called: tuple[int, ...] = ()) -> dict[int, Fit]:
         asked.clear()
         known = {k: Promise(misfit) for k, misfit in enumerate(promised) if misfit < np.inf}
-        return Counted(None, Catalogue(), Jobs(1))._begun(before, jobs, range(6), known, lambda k, first: k in out)
+        trials = Counted(None, Catalogue(), Jobs(1))
+        return trials._begun(before, jobs, range(6), known, lambda k, first: bool(first) and k in out, called)
 
     fits = begun([5e4, 2e3, np.inf, 1e3, 3e4, 4e4])
     assert asked == [([2e4, 1e3, 7e5, 6e5], np.inf), ([9e5, 8e5], 1e5)]
@@ -182,7 +183,9 @@ def test_what_can_be_no_rival_of_the_most_promising_is_not_followed():
     assert asked == [([2e4, 7e5, 6e5, 9e5], np.inf), ([1e3, 8e5], pytest.approx(1e6 - 0.1 * (1e6 - 2e4)))]
     begun([])
     assert asked == [([], np.inf), (jobs, np.inf)]
-    assert [*begun([], {1, 4})] == [0, 2, 3, 5]
+    assert [*begun([5e4], {1, 4})] == [0, 2, 3, 5]
+    begun([5e4, np.inf, np.inf, 1e3, 3e4, 4e4], {0, 3, 4}, called=(1,))  # what lines call for explains the data
+    assert asked == [([1e3], np.inf), ([8e5, 6e5], 1e5)]
 
 
 def test_laws_that_linear_theory_tells_to_explain_too_little_are_not_fitted():

@@ -232,7 +232,7 @@ class Trials:
         kept: Sequence[int],
         promised: Mapping[int, Promise],
         is_out: Callable[[int, Sequence[Fit]], bool],
-        called: Sequence[int],
+        called: Sequence[int] = (),
     ) -> dict[int, Fit]:
         """Return first fits; where one of the most promising explains the data, no others that never will are followed.
 
@@ -243,7 +243,7 @@ class Trials:
         known = [k for k in kept if k in promised and promised[k].misfit < np.inf]
         by_promise = sorted(known, key=lambda k: promised[k].misfit)
         order = [*called]
-        first = self._fit([jobs[k] for k in order], Effort(FIRST_EVALUATIONS))
+        first = self._fit([jobs[k] for k in order], Effort(FIRST_EVALUATIONS)) if order else []
         for n in range(0 if any(map(is_adequate, first)) else MOST_BROKEN):
             more = by_promise[n * MOST_PROMISING : (n + 1) * MOST_PROMISING]
             first += self._fit([jobs[k] for k in more], Effort(FIRST_EVALUATIONS))
