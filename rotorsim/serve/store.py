@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 from rotorsim.diagram.diagram import Diagram
@@ -33,6 +34,7 @@ REBASED = (
     "group",
     "dissolve",
 )  # bring along what was changed in a block, or find by themselves what fits
+TRUNCATED, TRUNCATED_READS = 0.02, 5  # s, and times that a file is read again whose content has vanished
 CHANGED_MEANWHILE = "the file was changed while it was being written; nothing was written"
 
 
@@ -88,6 +90,11 @@ class DiagramFile:
     def refresh(self) -> bool:
         """Read the file again where it, or one that it names, has changed; return whether one had."""
         content = _bytes(self.path)
+        for _ in range(TRUNCATED_READS):
+            if content != b"" or not self._content:
+                break
+            sleep(TRUNCATED)  # an editor that empties a file before it writes it has not written yet
+            content = _bytes(self.path)
         if content == self._content and self.state.sha and self.state.parts == self._parts(self.state.document):
             return False
         self._content = content

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import random
 import re
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -245,6 +247,22 @@ def test_a_hand_edit_with_mistakes_stays_as_it_is(opened: DiagramFile) -> None:
     opened.path.write_text(good)
     opened.edit(base, one("rotor.mass", "4 kg"))
     assert opened.state.valid
+
+
+def test_a_file_that_an_editor_empties_before_it_writes_is_read_when_it_is_written(opened: DiagramFile) -> None:
+    """FAULT: what was read in between was shown as "file is empty"."""
+    text = opened.path.read_text().replace('"speed"', '"rate"')
+    opened.path.write_text("")
+    later = threading.Timer(0.03, opened.path.write_text, (text,))
+    later.start()
+    assert opened.refresh()
+    later.join()
+    assert "file is empty" not in [problem.what for problem in opened.state.problems]
+    assert opened.state.sha == hashlib.sha256(text.encode()).hexdigest()
+    opened.path.write_text("")  # it stays so
+    assert opened.refresh()
+    assert [problem.what for problem in opened.state.problems] == ["file is empty"]
+    assert not opened.refresh()
 
 
 def test_a_file_that_is_deleted_is_not_made_anew(opened: DiagramFile) -> None:
