@@ -6,6 +6,7 @@ import csv
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from rotorsim import load_orders
 from rotorsim.cli.orders import PHASE_WORDS
 from rotorsim.recordings.order_writing import save_orders
-from rotorsim.recordings.orders import PHASES
+from rotorsim.recordings.orders import PHASES, OrderRecording
 from rotorsim.signals.orders.extraction import tracked_recording
 from rotorsim.signals.orders.resonance import peak_of
 from tests.cli.conftest import Run
@@ -28,11 +29,15 @@ QUICK = [
 ]
 
 
+@cache
+def tracked() -> OrderRecording:
+    return tracked_recording(run_up([Mode(300.0, 0.03, 2e-5, -2e-5j)], 60.0, 500.0, 4.0, noise=2e-8), [1, 2])[0]
+
+
 @pytest.fixture
 def table(tmp_path: Path) -> Path:
     """Return the folder of a table of 1X and 2X past one mode at 300 rad/s."""
-    recording = run_up([Mode(300.0, 0.03, 2e-5, -2e-5j)], 60.0, 500.0, 4.0, noise=2e-8)
-    save_orders(tmp_path / "table", tracked_recording(recording, [1, 2])[0])
+    save_orders(tmp_path / "table", tracked())
     return tmp_path / "table"
 
 
