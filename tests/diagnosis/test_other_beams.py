@@ -45,7 +45,7 @@ def test_what_is_missing_is_named_and_nothing_where_nothing_is(case, named):
     ],
 )
 def test_lines_of_a_beam_are_named_and_measured(row, named, size, tmp_path):
-    """FAULT: no swing of a beam was fitted, nor ground that shakes all of it: their lines were outside the catalogue."""
+    """FAULT: no swing of a beam was fitted, nor ground that shakes all of it: both were outside the catalogue."""
     sets.make(sets.plan(tmp_path, 1, 5, "one", "fe_flexible", (row,)), 1)
     [case] = [file.parent for file in tmp_path.glob("*/recording.json")]
     truth = json.loads((tmp_path / "truth" / f"{case.name}.json").read_text())["effect"]
