@@ -37,22 +37,15 @@ def test_what_is_missing_is_named_and_nothing_where_nothing_is(case, named):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("row", "named", "size"),
-    [
-        ("torsion_coupling", {"speed_fluctuation", "torsion_coupling"}, ("amplitude", "phi")),
-        ("base_excitation", {"base_excitation"}, ("acceleration", "acceleration")),
-    ],
-)
-def test_lines_of_a_beam_are_named_and_measured(row, named, size, tmp_path):
-    """FAULT: no swing of a beam was fitted, nor ground that shakes all of it: both were outside the catalogue."""
-    sets.make(sets.plan(tmp_path, 1, 5, "one", "fe_flexible", (row,)), 1)
+def test_the_twist_of_a_disc_is_named_on_a_beam_and_measured(tmp_path):
+    """FAULT: no swing of a beam was fitted: lines at 56 Hz were found, and called outside the catalogue."""
+    sets.make(sets.plan(tmp_path, 1, 5, "one", "fe_flexible", ("torsion_coupling",)), 1)
     [case] = [file.parent for file in tmp_path.glob("*/recording.json")]
     truth = json.loads((tmp_path / "truth" / f"{case.name}.json").read_text())["effect"]
     held = load_any(tmp_path / "hold_out" / case.name)
     found = diagnose(load("fe_flexible"), load_any(case), hold_out=held, physics=LINES, workers=2)
     [effect] = found.effects
-    assert set(effect.members) == named
+    assert set(effect.members) == {"speed_fluctuation", "torsion_coupling"}
     assert found.score_after.total < 1.05 * found.score_after.noise < found.score_before.total
-    j = [item.name for item in found.after.free].index(f"{effect.physics}.{size[0]}")
-    assert abs(found.after.theta[j] - truth[size[1]]) < 4 * found.after.std(j)
+    j = [item.name for item in found.after.free].index(f"{effect.physics}.amplitude")
+    assert abs(found.after.theta[j] - truth["phi"]) < 4 * found.after.std(j)
