@@ -50,6 +50,15 @@ def test_places_that_allow_ten_times_the_least_are_not_looked_at():
     assert sorted(kept) == [1, 2, 3]
 
 
+def test_what_makes_lines_is_not_judged_by_what_it_does_to_harmonics():
+    """FAULT: a shaken ground was excluded, since linear theory of its law holds harmonics only: it left 5e6 of 5e6."""
+    found = [SimpleNamespace(from_lines=lines) for lines in ((), ("frequency",))]
+    told = [Promise(10.0), Promise(99.0)]
+    work = SimpleNamespace(jobs=SimpleNamespace(processes=1), promises_of_laws=lambda *given: told)
+    screening = Screening(SimpleNamespace(laws=lambda before: object()), work)
+    assert screening.all(left(100.0), found).laws == {0: told[0]}
+
+
 def test_laws_are_fitted_where_they_promise_most_and_elsewhere_once_they_are_chosen():
     """FAULT: of a seal at one node of a beam that explains a third, free harmonics of its force told another node.
 

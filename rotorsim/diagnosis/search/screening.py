@@ -91,7 +91,8 @@ class Screening:
         if laws is None:
             return {}
         found = self.work.promises_of_laws(candidates, laws, self.work.jobs.processes)
-        return {k: one for k, one in enumerate(found) if one is not None}
+        # lines beside the harmonics are not in it: what makes them would be excluded by what it does not do to those
+        return {k: one for k, one in enumerate(found) if one is not None and not candidates[k].from_lines}
 
     def _by_sensitivities(self, before: Fit, jobs: Sequence[Job]) -> list[Promise | None]:
         """Return what laws promise by their sensitivities, beside what the diagram without them does."""
