@@ -130,6 +130,10 @@ class Likelihood:
 
     def evaluate(self, theta: np.ndarray) -> Evaluation:
         """Return the whitened residual and its derivatives at theta (m,)."""
+        return self.evaluated(theta)[0]
+
+    def evaluated(self, theta: np.ndarray) -> tuple[Evaluation, Prediction]:
+        """Return the whitened residual and its derivatives at theta (m,), and the motion with the best means."""
         motion = self.experiment.motion
         tolerance = 0.0 if motion.is_linear else SLOW_MEAN_TOLERANCE
         fresh = motion.fresh_means(theta)
@@ -158,7 +162,7 @@ class Likelihood:
         derivatives = self._padded(derivatives) * turn[:, :, None, None]
         if self.V:
             derivatives = np.pad(derivatives, ((0, 0), (0, 0), (0, self.V), (0, 0)))
-        return self._together(runs, runs.without(-self.white(real_columns(derivatives))), Y)
+        return self._together(runs, runs.without(-self.white(real_columns(derivatives))), Y), prediction
 
     def _padded(self, harmonics: np.ndarray) -> np.ndarray:
         """Return harmonics (R, K+1 or orders, ...) with nothing on the lines beside them, where there is none."""

@@ -86,8 +86,8 @@ class Equations:
         y = ca.vertcat(*[model.expression(model.diagram.as_measured(name)) for name in outputs])
         with_inputs = self._with_values([trace.xdot, y], theta)
         self._affine = (model, *with_inputs)
-        B, D = (jacobian(of, trace.v) for of in with_inputs)
-        f, g = ca.substitute(with_inputs, [trace.v], [ca.SX.zeros(*trace.v.shape)])
+        of = [*with_inputs, *(jacobian(of, trace.v) for of in with_inputs)]
+        f, g, B, D = ca.substitute(of, [trace.v], [ca.SX.zeros(*trace.v.shape)])
         self.kept = np.arange(model.n_x)
         if not every_state:
             self.kept = reached_states(pattern(f, trace.x), pattern(g, trace.x))
@@ -95,9 +95,9 @@ class Equations:
         x = ca.SX.sym("x", len(keep))
         whole: Any = ca.SX(model.x0(model.p0))
         whole[keep] = x
-        f, g = ca.substitute([f[keep], g], [trace.x], [whole])
+        f, g, B, D = ca.substitute([f[keep], g, B[keep, :], D], [trace.x], [whole])
         self.n, self.n_v, self.m = len(keep), trace.v.numel(), len(free)
-        self.whole = PortEquations((trace.t, trace.p, theta), x, f, g, B[keep, :], D)
+        self.whole = PortEquations((trace.t, trace.p, theta), x, f, g, B, D)
         self.theta0 = np.array([item.value for item in free])
 
     def _with_values(self, expressions: list[Any], theta: Any) -> list[Any]:
@@ -162,18 +162,19 @@ class Equations:
         x = ca.SX.sym("x", len(c))
         full: Any = ca.SX.zeros(self.n)
         full[c] = x
-        of = [part.rates[r], part.outputs, part.df_dx[r, c], part.dg_dx[:, c]]
-        f, g, *slopes = ca.substitute(of, [part.x], [full])
+        of = [part.rates[r], part.outputs, part.df_dv[r, :], part.dg_dv, part.df_dx[r, c], part.dg_dx[:, c]]
+        f, g, B, D, *slopes = ca.substitute(of, [part.x], [full])
         at_rest = part.laws.of_rows([*r, *range(self.n, self.n + part.c)])
-        return PortEquations(part.symbols, x, f, g, part.df_dv[r, :], part.dg_dv, slopes, at_rest)
+        return PortEquations(part.symbols, x, f, g, B, D, slopes, at_rest)
 
 
 class PortEquations:
     """Rows of f (r,) and outputs g (c,) as functions of states x (n,), with their derivatives.
 
-    f, J = df/dx, f_theta = df/dtheta, g, C = dg/dx, g_theta, and f_rows, J_part at the ``places`` E in r and S in n
-    where J varies with x or t, take (times, x, p, theta) as columns, one for each of N points. matrices: A, B, C, D of
-    linear equations, dx/dt = A x + B v + f(t), y = C x + D v + g(t), as functions of p and theta.
+    f, J = df/dx, f_theta = df/dtheta, g, C = dg/dx, g_theta, B = df/dv and D = dg/dv of the external inputs, and
+    f_rows, J_part at the ``places`` E in r and S in n where J varies with x or t, take (times, x, p, theta) as columns,
+    one for each of N points. matrices: A, B, C, D of linear equations, dx/dt = A x + B v + f(t), y = C x + D v + g(t),
+    as functions of p and theta.
     """
 
     def __init__(
@@ -198,6 +199,7 @@ class PortEquations:
         points = [t, x, p, theta]
         self.f, self.g = MatrixFunction(points, f), MatrixFunction(points, g)
         self.J, self.C = MatrixFunction(points, self.df_dx), MatrixFunction(points, self.dg_dx)
+        self.B, self.D = MatrixFunction(points, B), MatrixFunction(points, D)
         self.f_theta = MatrixFunction(points, lambda: jacobian(f, theta))
         self.g_theta = MatrixFunction(points, lambda: jacobian(g, theta))
         self.f_rows = MatrixFunction(points, lambda: f[self.places[0].tolist(), :])
@@ -207,6 +209,13 @@ class PortEquations:
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows E of f that are not linear in x with constant factors, and states S that these are not linear in."""
         return _varying(self.df_dx, ca.vertcat(self.x, self.symbols[0]))
+
+    @cached_property
+    def inputs_change(self) -> bool:
+        """Whether B or D vary with x or t."""
+        return bool(
+            ca.depends_on(ca.vertcat(ca.vec(self.df_dv), ca.vec(self.dg_dv)), ca.vertcat(self.x, self.symbols[0]))
+        )
 
     @cached_property
     def matrices(self) -> dict[str, Matrix]:

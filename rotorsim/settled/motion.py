@@ -8,6 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
@@ -30,15 +31,19 @@ SAMPLES = 16  # of a turn
 class Prediction:
     """The settled motion at one value of the free parameters, at orders 0..K and the lines beside them, (R, lines, ..).
 
-    Y (R, lines, c): outputs. settled (R,): whether a periodic motion exists. by_means: of each run, dY by the means
-    of its slow states, (lines, c, s). sensitivity: returns dY/dtheta (R, lines, c, m). by_inputs: returns dY by the
-    measured inputs, (R, lines, c, V).
+    Y (R, lines, c): outputs. settled (R,): whether a periodic motion exists. means: of each run, those of its slow
+    states (s,), as they were given; by_means: dY by them, (lines, c, s). sensitivity: returns dY/dtheta
+    (R, lines, c, m). answers: returns what small harmonics (R, K+1, v, j) of some external inputs, v of V, change at
+    orders 0..K, (R, K+1, c, j): linear in their real and imaginary parts. by_inputs: returns dY by the inputs of a
+    linear diagram, (R, lines, c, V), order by order.
     """
 
     Y: np.ndarray
     settled: np.ndarray
+    means: Sequence[np.ndarray]
     by_means: Sequence[np.ndarray]
     sensitivity: Callable[[], np.ndarray]
+    answers: Callable[[np.ndarray, Sequence[int]], np.ndarray]
     by_inputs: Callable[[], np.ndarray]
 
 
@@ -95,6 +100,10 @@ class SettledMotion(ABC):
         self, theta: np.ndarray, means: Sequence[np.ndarray] | None = None, inputs: np.ndarray | None = None
     ) -> Prediction:
         """Return the motion with slow states at given means, and measured inputs (R, lines, V); default: zero."""
+
+    @abstractmethod
+    def slow_states(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Return the slow states of each run, of those that the equations keep, as they are at the first theta (m,)."""
 
     @abstractmethod
     def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
@@ -154,6 +163,10 @@ class Response:
 
     def transfer(self) -> np.ndarray:
         """Return dY/dV (R, K+1, c, V)."""
+        return self._transfer
+
+    @cached_property
+    def _transfer(self) -> np.ndarray:
         return np.asarray(self.C[:, None] @ (self.resolvent.gain @ self.B[:, None].astype(complex)) + self.D[:, None])
 
     def slow_states(self, r: int) -> np.ndarray:
@@ -210,7 +223,13 @@ class LinearMotion(SettledMotion):
             effect[0] = response.C[r] @ columns
             by_means.append(effect)
         settled = np.ones(len(Y), bool)
-        return Prediction(Y, settled, by_means, lambda: response.sensitivity(X, inputs), response.transfer)
+
+        def answers(moved: np.ndarray, which: Sequence[int]) -> np.ndarray:
+            return np.asarray(response.transfer()[:, : moved.shape[1], :, [*which]] @ moved)
+
+        return Prediction(
+            Y, settled, means or (), by_means, lambda: response.sensitivity(X, inputs), answers, response.transfer
+        )
 
     def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
         """Return that no mean is known: the data say how far each has come."""

@@ -77,7 +77,12 @@ class NonlinearMotion(SettledMotion):
             self.last = C
         elif self.last is not None:
             self.last = np.where(settled[:, None, None], C, self.last)
-        return self._linearised(balance, response, X, settled, theta, laws)
+        return self._linearised(balance, response, X, settled, theta, means or (), laws)
+
+    def slow_states(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Return the slow states of each run, as they are where the ports were opened."""
+        self.opened(theta)
+        return self.slow
 
     def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
         """Return the means of slow states that start with the run.
@@ -127,6 +132,7 @@ class NonlinearMotion(SettledMotion):
         self.slow = [slow_states(matrix, window, self.equations.means) for matrix, window in runs]
         values = whole.sampled(self.p, np.repeat(theta[None], R, 0), self.times[:, ::8])
         moved = [np.moveaxis(part[:, :, :n], 2, 0).reshape(n, -1) for part in values]
+        moved.append(_side_by_side(whole.B(self.times[:, 0][None], np.zeros((n, R)), self.p.T, theta)))
         rng = np.random.default_rng(0)
         changing, changed = self.equations.changing, []
         few = np.repeat(np.arange(R), POINTS_PER_SIZE)
@@ -138,8 +144,10 @@ class NonlinearMotion(SettledMotion):
             point = times, size * rng.standard_normal((n, len(few))), self.p[few].T, other.T
             with np.errstate(all="ignore"):
                 change = whole.J(*point)[:, :, changing] - A[few][:, :, changing]
-                moved.append(whole.f_theta(*point).transpose(1, 0, 2).reshape(n, -1))
-            changed.append(change.transpose(1, 0, 2).reshape(n, -1))
+                moved.append(_side_by_side(whole.f_theta(*point)))
+                if whole.inputs_change:
+                    moved.append(_side_by_side(whole.B(*point)))
+            changed.append(_side_by_side(change))
         s = 1j * np.abs(self.speeds)[:, None] * np.arange(self.H + 1)
         self.ports = open_ports(A, s, self.slow, changing, moved, changed)
         self.inner: PortEquations = self.equations.at_ports(self.ports.rows, self.ports.columns)
@@ -195,6 +203,7 @@ class NonlinearMotion(SettledMotion):
         X: np.ndarray,
         settled: np.ndarray,
         theta: np.ndarray,
+        means: Sequence[np.ndarray],
         laws: dict[str, Pair],
     ) -> Prediction:
         """Return outputs and their derivatives about the motion X (R, H+1, n)."""
@@ -219,6 +228,13 @@ class NonlinearMotion(SettledMotion):
             by_theta = harmonics_of(moved, self.H)
             return outputs(response.gain @ by_theta, inner.g_theta(*points).reshape(R, count, inner.c, -1))
 
+        def answers(added: np.ndarray, which: Sequence[int]) -> np.ndarray:
+            there = points if inner.inputs_change else (self.times[:, :1].T, np.zeros((inner.n, R)), self.p.T, theta)
+            B, D = (slopes(*there)[:, :, [*which]].reshape(R, -1, rows, len(which)) for slopes, rows in by_inputs)
+            in_time = samples_of(added.reshape(R, added.shape[1], -1), count).reshape(R, count, len(which), -1)
+            return outputs(response.gain @ harmonics_of(B @ in_time, self.H), D @ in_time)
+
+        by_inputs = (inner.B, inner.r), (inner.D, inner.c)
         Y = harmonics_of(inner.g(*points).reshape(R, count, -1), K)
         Y[~settled] = np.nan
         by_means = [np.zeros((K + 1, inner.c, 0), complex)] * R
@@ -229,7 +245,12 @@ class NonlinearMotion(SettledMotion):
             widths = (columns.shape[1] for columns in response.slow)
             by_means = [own[..., :width] for own, width in zip(outputs(rested), widths, strict=True)]
         none = np.zeros((*Y.shape, 0), complex)
-        return Prediction(Y, settled, by_means, sensitivity, lambda: none)
+        return Prediction(Y, settled, means, by_means, sensitivity, answers, lambda: none)
+
+
+def _side_by_side(matrices: np.ndarray) -> np.ndarray:
+    """Return the columns of matrices (N, n, k), (n, N k)."""
+    return np.asarray(matrices.transpose(1, 0, 2).reshape(matrices.shape[1], -1))
 
 
 def _settling(u: float) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -1,7 +1,9 @@
 """Bounds on what any law at a place can explain: below every fit there, tight at the true one, exact for readings."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,25 +44,37 @@ def healthy() -> tuple[HarmonicEvidence, Fit]:
     return source, source.fit(shipped("fe_rigid").document, [])
 
 
+def with_keyway(document: Mapping[str, Any], asymmetry: float) -> dict[str, Any]:
+    """Return a document of fe_rigid with a stiffness at node 3 that turns with the shaft: order k answers to 2 - k."""
+    block = {"type": "asymmetric_shaft", "parameters": {"asymmetry": asymmetry, "phase": 0.4}}
+    ends = [
+        ["rotor.displacement[3]", "keyway.displacement"],
+        ["clock.theta", "keyway.theta"],
+        ["keyway.force", "rotor.force[3]"],
+    ]
+    return {**document, "blocks": {**document["blocks"], "keyway": block}, "wires": [*document["wires"], *ends]}
+
+
 def items(source: HarmonicEvidence, base: Fit) -> dict[str, Insertion]:
     diagram = source.load(values_in(base.document, base.values))
     return {item.key: item for item in insertions(diagram, source.recorded)}
 
 
 @cache
-def concealing(key: str, factor: float = 1.0) -> tuple[HarmonicEvidence, Fit, LowerBounds]:
+def concealing(key: str, factor: float = 1.0, keyway: float = 0.0) -> tuple[HarmonicEvidence, Fit, LowerBounds | None]:
     """Return harmonics that a diagram with something more in it predicts, with noise, and the diagram without it.
 
-    factor: of its size.
+    factor: of its size. keyway: half of the difference of two bending stiffnesses [N/m], which both have at node 3.
     """
     source, base = healthy()
+    if keyway:
+        base = replace(base, document=with_keyway(base.document, keyway))
     size, *others = TRUE[key].items()
     values = {size[0]: factor * size[1], **dict(others)}
     document = items(source, base)[key].document(values_in(base.document, base.values), values)
     experiment = source.open(source.load(document))
     likelihood = Likelihood(experiment)
-    response = likelihood.response(experiment.theta0)
-    Y = response.outputs(response.states())
+    Y = experiment.motion.predict(experiment.theta0).Y
     random, harmonics = np.random.default_rng(5), []
     for r, item in enumerate(source.harmonics):
         white = likelihood.whiteners[r]
@@ -70,7 +84,7 @@ def concealing(key: str, factor: float = 1.0) -> tuple[HarmonicEvidence, Fit, Lo
         values[:, experiment.columns[r]] = Y[r] + complex_values(noise, likelihood.c)
         harmonics.append(replace(item, fit=replace(item.fit, values=values)))
     source = replace(source, harmonics=tuple(harmonics))
-    fit = source.fit(base.document, [])
+    fit = source.fit(values_in(base.document, base.values), [])
     return source, fit, open_bounds(fit, source)
 
 

@@ -29,7 +29,9 @@ from rotorsim.diagnosis.search.promises import (
     at_next_places,
     at_other_places,
     at_rival_places,
+    explains_all_but,
     is_beyond,
+    is_impossible,
     level_of,
     likely_of,
     noticed_from,
@@ -91,7 +93,9 @@ class Trials:
         called = [k for k in screened.kept if found[k].from_lines and k not in screened.laws]
 
         def is_out(k: int, first: Sequence[Fit]) -> bool:
-            return is_beyond(screened.laws.get(k), before, first, noticed_from(len(found[k].free), level))
+            if is_beyond(screened.laws.get(k), before, first, noticed_from(len(found[k].free), level)):
+                return True
+            return explains_all_but(before, first) and is_impossible(places, found[k], first)
 
         if many:
             classes = () if places is None else places.classes
@@ -284,7 +288,8 @@ class Trials:
                 k for k in _bymisfit_of(fits) if fits[k].misfit < RIVAL_MISFIT * least and not _is_slow(fits[k], slow)
             ]
         else:
-            order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < PROMISING * before.misfit]
+            most = min(PROMISING * before.misfit, RIVAL_MISFIT * min((fits[k].misfit for k in order), default=np.inf))
+            order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < most]
         self._again(jobs, fits, order, None)
         return fits, set(order)
 
@@ -382,13 +387,14 @@ def _is_kept(before: Fit, fits: Sequence[Fit], promise: Promise) -> bool:
 def _beyond(before: Fit, fits: Sequence[Fit]) -> float:
     """Return the misfit beyond which a law is not followed after its first steps: it is no rival of the best fit.
 
-    Of one that explains the data RIVAL_MISFIT times its misfit; where none does, what explains STARTED of what the best
-    explains. Infinite where that has not begun.
+    RIVAL_MISFIT times the misfit of the best, or what explains STARTED of what it explains. Infinite where that has not
+    begun.
     """
     least = min((fit.misfit for fit in fits if not fit.failure), default=np.inf)
     if any(is_adequate(fit) for fit in fits):
         return RIVAL_MISFIT * least
-    return before.misfit - STARTED * (before.misfit - least) if least < before.misfit else np.inf
+    started = before.misfit - STARTED * (before.misfit - least)
+    return min(RIVAL_MISFIT * least, started) if least < before.misfit else np.inf
 
 
 def _is_slow(fit: Fit, most: float) -> bool:

@@ -68,9 +68,9 @@ class HarmonicEvidence(HarmonicRuns, Validated):
         """Return lower bounds of the misfit for every place, see `open_bounds`; none of laws, beside a better fit."""
         return open_bounds(fit, self) if better is None else None
 
-    def laws(self, fit: Fit) -> LawsBeside | None:
-        """Return what laws beside a fit of a linear diagram leave by linear theory."""
-        return None if fit.nonlinear else LawsBeside(self, fit)
+    def laws(self, fit: Fit) -> LawsBeside:
+        """Return what laws beside a fit leave by linear theory about its motion."""
+        return LawsBeside(self, fit)
 
     def separation(self, first: Fit, second: Fit) -> Change | None:
         """Return the speed or gain that separates two hypotheses most; see `best_change`."""

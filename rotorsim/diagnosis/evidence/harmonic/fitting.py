@@ -24,7 +24,7 @@ START_ANGLES = 8  # values over a turn of a new angle that enters in more than o
 NONLINEAR_TRIALS = 8  # of a group, of which the best is followed
 PROMISE_TRIALS = 2  # of a nonlinear diagram, twice as many of a linear one
 LINEAR_EVALUATIONS = 12  # for one of a nonlinear diagram
-FOLLOWED_FROM = 15  # evaluations of a nonlinear diagram, after which what leaves too much is no rival
+FOLLOWED_FROM = 15  # evaluations after which what leaves too much is no rival
 LINEAR_STARTS = 2  # that are followed to the end
 LINEAR_FOLLOWED = 4  # one more of a group, from the most promising on, for so many starts that a fault declares
 CORNERS, SHARP_EVALUATIONS = 20.0, 8  # misfit over equations that more orders of a law with corners may explain
@@ -46,8 +46,8 @@ def fit_document(
 
     What a start does not name begins as written; angles that it names are tried all around. most: evaluations of a
     nonlinear diagram from each start, times LINEAR_EVALUATIONS of a linear one (default: until it has converged).
-    linear_only: a nonlinear diagram is not fitted, its failure is DEFERRED. beyond: a misfit; a nonlinear diagram that
-    leaves more after FOLLOWED_FROM evaluations is not followed.
+    linear_only: a nonlinear diagram is not fitted, its failure is DEFERRED. beyond: a misfit; what leaves more after
+    FOLLOWED_FROM evaluations is not followed.
     """
     began = process_time()
     nonlinear = False
@@ -57,7 +57,7 @@ def fit_document(
         if nonlinear and linear_only:
             return Fit(document, failure=DEFERRED, nonlinear=True, seconds=process_time() - began)
         search = Search(Likelihood(experiment))
-        best = _best(search, experiment, starts, most, beyond if nonlinear else np.inf)
+        best = _best(search, experiment, starts, most, beyond)
         if nonlinear and most is None and EXPLAINS < best.misfit / max(best.evaluation.rows, 1) < CORNERS:
             best = _sharpened(search, best)
     except FAILURES as error:

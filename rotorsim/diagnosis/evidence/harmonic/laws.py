@@ -1,12 +1,13 @@
 """What the declared laws would explain at their places, before any of them is put into the diagram.
 
-Beside a fit of a linear diagram a law y = law(s; eta) adds d(eta) at its place, and the channels answer linearly:
+Beside a fit a law y = law(s; eta) adds d(eta) at its place, and the channels answer linearly, as the diagram does about
+its settled motion (of one that is not linear, orders answer to one another):
 
 residual = T (d + dd/deta deta) + J dtheta + nuisances + noise
 
 s is what the place carries: as the diagram says where it explains the data, else with the free harmonics at the place
 that explain most, so that the law's own effect on the motion is in it. One such step from the best declared start
-leaves what a fit leaves, exactly where d is linear in eta and J does not change with theta.
+leaves what a fit leaves, exactly where the diagram is linear, d is linear in eta, and J does not change with theta.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ from rotorsim.model.compiled import Model
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.balance import samples_of
 from rotorsim.settled.equations import Equations, is_linear
-from rotorsim.settled.motion import LinearMotion
+from rotorsim.settled.motion import Prediction
 from rotorsim.signals.covariance import real_columns
 
 TURN = 2 * np.pi
@@ -72,7 +73,7 @@ class LawsBeside:
 
 
 class _Beside:
-    """A fit of a linear diagram with every input where a law may act, for R runs; rows: of all of them."""
+    """A fit of a diagram with every input where a law may act, for R runs; rows: of all of them."""
 
     def __init__(self, runs: HarmonicRuns, fit: Fit, items: Sequence[Insertion]) -> None:
         diagram = runs.load(values_in(fit.document, fit.values))
@@ -83,14 +84,15 @@ class _Beside:
         )
         self.runs, self.adequate = runs, is_adequate(fit)
         self.experiment = runs.open(diagram, inject=[*ports])
-        self.motion, self.theta = self.experiment.linear, self.experiment.theta0
+        self.motion, self.theta = self.experiment.motion, self.experiment.theta0
         self.laws = {key: one for key, one in self.laws.items() if not self._is_set(one.item)}
         self.likelihood = Likelihood(self.experiment)
         self.K = self.likelihood.K
         self.inputs = {name: k for k, name in enumerate(name for port in ports for name in entries_of(diagram, port))}
-        evaluation, prediction = self.likelihood.evaluate(self.theta), self.motion.predict(self.theta)
-        self.transfer = prediction.by_inputs()[:, : self.K + 1]
-        self.nuisances = [basis_of(columns) for columns in self.likelihood.nuisances(prediction, evaluation.Y)]
+        evaluation, self.prediction = self.likelihood.evaluated(self.theta)
+        if not self.prediction.settled.all():
+            raise ValueError("no periodic motion was found")
+        self.nuisances = [basis_of(columns) for columns in self.likelihood.nuisances(self.prediction, evaluation.Y)]
         self.residual, self.jacobian = with_delay(evaluation)
         self.parameters = basis_of(self.jacobian)
         self.left = self.residual - self.parameters @ (self.parameters.T @ self.residual)
@@ -130,7 +132,7 @@ class _Beside:
             eta, step = other if other[1].misfit < step.misfit else (eta, step)
         std = dict(zip(item.fault.free, step.std.tolist(), strict=True))
         sized = all(angle or key in item.fault.sizes for key, angle in zip(item.fault.free, angles, strict=True))
-        exact = sized and law.is_affine(self._follow_states(one))
+        exact = sized and self.motion.is_linear and law.is_affine(self._follow_states(one))
         return Promise(step.misfit, without=float(self.left @ self.left), exact=exact, std=std)
 
     def _best(
@@ -154,13 +156,18 @@ class _Beside:
         channels = self.experiment.predicted
         out = np.zeros((len(added), self.likelihood.orders, len(channels), added.shape[3]), complex)
         within = out[:, : self.K + 1]
-        for j, (moved, read) in enumerate(zip(one.moved, one.read, strict=True)):
-            for name in moved:
-                within += self.transfer[..., self.inputs[name], None] * added[:, :, None, j]
+        if any(one.moved):
+            within += self.prediction.answers(*self._moved(one, added))
+        for j, read in enumerate(one.read):
             for name in read:
                 if name in channels:
                     within[:, :, channels.index(name)] += added[:, :, j]
         return out
+
+    def _moved(self, one: PlacedLaw, added: np.ndarray) -> tuple[np.ndarray, list[int]]:
+        """Return what signals that a law adds (R, K+1, c, k) make of inputs, (R, K+1, v, k), and which v these are."""
+        pairs = [(j, self.inputs[name]) for j, names in enumerate(one.moved) for name in names]
+        return added[:, :, [j for j, _ in pairs]], [k for _, k in pairs]
 
     def _beside(self, answers: np.ndarray) -> np.ndarray:
         """Return changes of the channels (R, orders, channels, k) whitened, without what is free, (rows, k)."""
@@ -204,37 +211,49 @@ class _Beside:
         return [k for k, name in enumerate(one.sources) if name in self._states]
 
     @cached_property
-    def _carried(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Their harmonics (R, K+1, S), and the derivatives of these by inputs and parameters; None where not linear."""
+    def _carried(self) -> Prediction | None:
+        """Their settled motion; None where a linear diagram is not linear in them."""
         model, motion = self.experiment.model, self.motion
         plain = Model(replace(model.diagram, measured={}), model.trace)  # as they are, not as recordings read them
-        if not is_linear(plain, [*self._states]):
+        if motion.is_linear and not is_linear(plain, [*self._states]):
             return None
-        equations = Equations(plain, [*self._states], self.experiment.free, motion.p, linear=True)
-        given = motion.p, motion.speeds, self.K, motion.windows, motion.phase, motion.beside
-        prediction = LinearMotion(equations, *given).predict(self.theta)
-        parts = prediction.Y, prediction.by_inputs(), prediction.sensitivity()
-        Y, by_inputs, by_theta = (part[:, : self.K + 1] for part in parts)
-        return Y, by_inputs, by_theta
+        equations = Equations(plain, [*self._states], self.experiment.free, motion.p, linear=motion.is_linear)
+        other = replace(motion, equations=equations)
+        if motion.is_linear:
+            return other.predict(self.theta)
+        other.begin_from(motion, np.arange(len(motion.p)), self.theta)
+        means = []
+        slow = zip(motion.slow_states(self.theta), other.slow_states(self.theta), self.prediction.means, strict=True)
+        for here, there, values in slow:  # other outputs follow other states
+            known = dict(zip(motion.equations.kept[here].tolist(), values.tolist(), strict=True))
+            means.append(np.array([known.get(k, 0.0) for k in equations.kept[there].tolist()]))
+        found = other.predict(self.theta, means)
+        return found if found.settled.all() else None
+
+    @cached_property
+    def _carried_by_theta(self) -> np.ndarray:
+        assert self._carried is not None
+        return self._carried.sensitivity()[:, : self.K + 1]
 
     def _signals(self, one: PlacedLaw) -> np.ndarray | None:
         """Return what drives a law at the samples of a turn, (R, N, n_v); None where that is not linear."""
         if not self._follow_states(one):
             along = np.zeros((*self.times.shape, 0))
-        elif self._carried is None:
+        elif (carried := self._carried) is None:
             return None
         else:
             key = () if self.adequate else (one.moved, one.read)
             if key not in self._along:
-                harmonics = self._carried[0] if self.adequate else self._freed(one, *self._carried)
+                harmonics = carried.Y[:, : self.K + 1] if self.adequate else self._freed(one, carried)
                 self._along[key] = samples_of(harmonics, self.times.shape[1])
             along = self._along[key]
         states = self._states
         columns = [along[:, :, states[key]] if key in states else self._timed[key] for key in one.sources]
         return np.stack(columns, axis=2) if columns else along
 
-    def _freed(self, one: PlacedLaw, Y: np.ndarray, by_inputs: np.ndarray, by_theta: np.ndarray) -> np.ndarray:
+    def _freed(self, one: PlacedLaw, carried: Prediction) -> np.ndarray:
         """Return harmonics of signals with the free ones at a place, and the parameters, that explain most."""
+        Y, by_theta = carried.Y[:, : self.K + 1], self._carried_by_theta
         (R, orders, _), c = Y.shape, len(one.moved)
         unit = np.eye(c * orders).reshape(orders, c, -1)
         unit = np.concatenate([unit, 1j * unit[:, :, c:]], axis=2)  # a mean is real
@@ -249,11 +268,10 @@ class _Beside:
         theta = -np.linalg.lstsq(together[:, :-1] / scale, together[:, -1], rcond=LEFT_BESIDE)[0] / scale
         left = (self.residual + self.jacobian @ theta)[: R * n].reshape(R, n)
         moved = by_theta @ theta[: by_theta.shape[3]]
-        for r, own in enumerate(free):
-            added = unit @ (np.linalg.lstsq(own, left[r], rcond=LEFT_BESIDE)[0] / size[r, 0])
-            for j, names in enumerate(one.moved):
-                for name in names:
-                    moved[r] += by_inputs[r, :, :, self.inputs[name]] * added[:, j, None]
+        best = [np.linalg.lstsq(own, left[r], rcond=LEFT_BESIDE)[0] / size[r, 0] for r, own in enumerate(free)]
+        if any(one.moved):
+            added = np.stack([unit @ factors for factors in best])
+            moved = moved + carried.answers(*self._moved(one, added[..., None]))[..., 0]
         return np.asarray(Y + moved)
 
     def _law(
