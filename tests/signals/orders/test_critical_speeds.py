@@ -214,10 +214,10 @@ def test_what_linear_modes_do_not_explain_is_said_to_be_so():
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say():
-    """Of 60 run-ups with two intervals each; 90 % of 120 are 108, and 99 are missed by chance once in a hundred."""
+    """Of 40 run-ups with two intervals each; 90 % of 80 are 72, and fewer than 65 come once in two hundred by chance."""
     rng = np.random.default_rng(7)
     held = []
-    for seed in range(60):
+    for seed in range(40):
         w, z, duration = rng.uniform(200, 350), rng.uniform(0.02, 0.08), rng.uniform(4.0, 8.0)
         mode = Mode(w, z, E * np.exp(1j * rng.uniform(0, 6)), E * np.exp(1j * rng.uniform(0, 6)))
         found, _ = _found(run_up([mode], 60.0, 500.0, duration, noise=rng.uniform(2e-7, 2e-6), seed=seed))
@@ -226,4 +226,4 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         for name, value in (("speed", truth.speed), ("amplification", truth.amplification)):
             low, high = one.interval90(name)
             held.append(low <= value <= high)
-    assert sum(held) >= 99
+    assert sum(held) >= 65
