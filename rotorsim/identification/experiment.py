@@ -81,8 +81,7 @@ class Experiment:
 
     def measured(self, K: int) -> np.ndarray:
         """Return the measured harmonics of time 0..K of [predicted, given], (R, K+1, c + V)."""
-        pairs = zip(self.fits, self.columns, strict=True)
-        return np.array([harmonics_of_time(fit.values[: K + 1, columns], fit.speed) for fit, columns in pairs])
+        return measured_harmonics(self.runs, self.columns, K)
 
     def again(self, runs: Sequence[RunHarmonics] | None = None, p: np.ndarray | None = None) -> Experiment:
         """Return the experiment with other harmonics of the same runs, or other known parameters p (R, n_p)."""
@@ -90,6 +89,12 @@ class Experiment:
         old = self.motion
         motion = old if p is self.p else old.at(p)
         return replace(self, runs=self.runs if runs is None else tuple(runs), p=p, motion=motion)
+
+
+def measured_harmonics(runs: Sequence[RunHarmonics], columns: np.ndarray, K: int) -> np.ndarray:
+    """Return the measured harmonics of time 0..K in some columns (R, c) of the fits, (R, K+1, c)."""
+    pairs = zip(runs, columns, strict=True)
+    return np.array([harmonics_of_time(run.fit.values[: K + 1, own], run.fit.speed) for run, own in pairs])
 
 
 def open_experiment(
@@ -155,13 +160,17 @@ def open_experiment(
     if linear_model and besides[0] is not None:
         second = np.array([beside.second for beside in besides if beside is not None])
         torus = Torus(speeds, K, second, besides[0].orders, forced is not None)
-    kind = LinearMotion if linear_model else NonlinearMotion
-    equations = Equations(model, predicted, kept, p, linear=linear_model and not taken)
-    motion = kind(equations, p, speeds, K, windows, phase, torus)
     channels = {channel.name: channel for channel in recording.channels.values()}
     order = [*predicted, *taken]
     columns = np.array([[item.fit.names.index(name) for name in order] for item in found])
     use_mean = np.array([channels[name].coupling == "dc" for name in order])
+    equations = Equations(model, predicted, kept, p, linear=linear_model and not taken)
+    motion: SettledMotion
+    if linear_model:
+        motion = LinearMotion(equations, p, speeds, K, windows, phase, torus)
+    else:
+        measured = measured_harmonics(found, columns[:, : len(predicted)], K)
+        motion = NonlinearMotion(equations, p, speeds, K, windows, phase, torus, measured=measured)
     return Experiment(
         diagram, recording, model, kept, tuple(predicted), tuple(taken), found, columns, p, motion, use_mean, resolution
     )

@@ -218,6 +218,11 @@ class PortEquations:
         )
 
     @cached_property
+    def changing_outputs(self) -> set[int]:
+        """The outputs that are not linear in x with constant factors."""
+        return {int(k) for k in _varying(self.dg_dx, ca.vertcat(self.x, self.symbols[0]))[0]}
+
+    @cached_property
     def matrices(self) -> dict[str, Matrix]:
         """A, B, C, D of linear equations."""
         slopes = zip("ABCD", (self.df_dx, self.df_dv, self.dg_dx, self.dg_dv), strict=True)

@@ -95,6 +95,10 @@ class SettledMotion(ABC):
         """Return the motion at other known parameters p (R, n_p)."""
         return replace(self, p=p)
 
+    def reading(self, equations: Equations) -> Self:
+        """Return the motion with other outputs; equations: of the same diagram and parameters, with these."""
+        return replace(self, equations=equations)
+
     @abstractmethod
     def predict(
         self, theta: np.ndarray, means: Sequence[np.ndarray] | None = None, inputs: np.ndarray | None = None

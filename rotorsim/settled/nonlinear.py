@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorsim.settled.balance import Balance, harmonics_of, samples_of
-from rotorsim.settled.equations import PortEquations
+from rotorsim.settled.equations import Equations, PortEquations
 from rotorsim.settled.floquet import growth_rate
 from rotorsim.settled.laws import Pair, by_parameters, column_of
 from rotorsim.settled.motion import FreshMeans, Prediction, SettledMotion
@@ -21,11 +21,17 @@ BALANCE_TOLERANCE = 1e-9  # relative residual of a settled motion
 SIZES = (1e-6, 1e-4, 1e-2, 1.0, 1e2)  # of states at which it is seen what a law moves: gaps and limits are passed
 POINTS_PER_SIZE = 4  # points of each size
 PARAMETER_SPREAD = 0.1  # relative, of the parameters there
+SEEN = 1e-6  # of the largest singular value: of directions of forces that outputs tell
 
 
 @dataclass(eq=False)
 class NonlinearMotion(SettledMotion):
-    """The settled motion of a nonlinear diagram; each solution is the start of the next."""
+    """The settled motion of a nonlinear diagram; each solution is the start of the next.
+
+    measured (R, K+1, c): harmonics of the outputs as they were measured; the first solution may start with these.
+    """
+
+    measured: np.ndarray | None = None
 
     is_linear = False
     corrections = 4
@@ -53,6 +59,10 @@ class NonlinearMotion(SettledMotion):
         C = C[:, : self.H + 1]
         return np.pad(C, ((0, 0), (0, self.H + 1 - C.shape[1]), (0, 0)))
 
+    def reading(self, equations: Equations) -> NonlinearMotion:
+        """Return the motion with other outputs, which were not measured."""
+        return replace(self, equations=equations, measured=None)
+
     def begin_from(self, other: SettledMotion, runs: np.ndarray, theta: np.ndarray) -> None:
         """Start the search for each motion from that of a run (R,) of another one, where it has the same states."""
         self.opened(theta)
@@ -68,7 +78,7 @@ class NonlinearMotion(SettledMotion):
         balance, response = self._balance(ports, theta, means or (), laws)
         X, settled = balance.base, np.ones(len(self.p), bool)
         if len(balance.S):
-            start = X[:, :, balance.S] if self.last is None else balance.nearer(self.last)
+            start = self._start(balance, theta) if self.last is None else balance.nearer(self.last)
             solution = balance.solve(start, BALANCE_TOLERANCE, grow=self.last is None)
             X, settled = balance.states(solution), solution.settled
             X[~settled] = np.nan
@@ -78,6 +88,29 @@ class NonlinearMotion(SettledMotion):
         elif self.last is not None:
             self.last = np.where(settled[:, None, None], C, self.last)
         return self._linearised(balance, response, X, settled, theta, means or (), laws)
+
+    def _start(self, balance: Balance, theta: np.ndarray) -> np.ndarray:
+        """Return states (R, H+1, S) to begin with: of the linear motion and the measured one that which is nearer.
+
+        Measured: with the forces in the rows of the nonlinear laws that explain most of the outputs that are linear in
+        the states. Where an amplifier is saturated for half of a turn the linear motion leads nowhere.
+        """
+        linear = balance.base[:, :, balance.S]
+        if self.measured is None:
+            return linear
+        inner, (R, _, n) = self.inner, balance.base.shape
+        at_rest = self._points(np.zeros((R, self.count, n)), theta)
+        C = inner.C(*at_rest).reshape(R, self.count, inner.c, n)[:, 0]
+        Y = (C[:, None] @ balance.base[..., None])[..., 0]
+        Y += harmonics_of(inner.g(*at_rest).reshape(R, self.count, -1), self.H)
+        plain = [k for k in range(inner.c) if k not in inner.changing_outputs]
+        orders = slice(1, self.K + 1)  # means are seldom those of the sensors
+        effect = C[:, None, plain] @ balance.G[:, orders]
+        missing = np.nan_to_num(self.measured[:, orders, plain] - Y[:, orders, plain])
+        forces = np.linalg.pinv(effect, rcond=SEEN) @ missing[..., None]
+        near = linear.copy()
+        near[:, orders] += (balance.G[:, orders, balance.S] @ forces)[..., 0]
+        return balance.nearer(near)
 
     def slow_states(self, theta: np.ndarray) -> list[np.ndarray]:
         """Return the slow states of each run, as they are where the ports were opened."""

@@ -21,6 +21,7 @@ from tests.reference.recordings import RecordedRun
 
 RPM = 2 * np.pi / 60
 BIAS, GAP = 0.4, 0.3e-3
+SATURATION = 0.4  # A
 TRUTH = {
     "viscous_damping": 91.0,
     "crack_stiffness": 2.4e5,
@@ -159,6 +160,46 @@ def test_a_motion_that_nearly_sticks_is_found_from_rest():
     motion = solve_ivp(rate, (0.0, time[-1]), np.zeros(6), "LSODA", time, rtol=1e-8, atol=1e-13).y[2]
     orders = np.fft.rfft(motion)[:6] / len(motion)
     assert np.abs(found.Y[0, :6, 0] - orders).max() < 2e-3 * np.abs(orders[1])  # corners are cut beyond order 24
+
+
+class Saturated(Jeffcott):
+    """Amplifiers that give SATURATION at most."""
+
+    def amb(self, displacement: complex, current: complex) -> complex:
+        limited = np.clip([current.real, current.imag], -SATURATION, SATURATION)
+        return super().amb(displacement, complex(*limited))
+
+
+def saturated(speed: float) -> RecordedRun:
+    """Return a settled run with the current that was demanded."""
+    model = replace(Saturated(), ki=0.0, speed=speed)
+    turn = 2 * np.pi / speed
+    time = np.linspace(60 * turn, 80 * turn, 801)[:-1]
+    y = model.solve(np.concatenate([[0.0], time]), rtol=1e-9)[1:]
+    current = model.current(y)
+    columns = {"x": y[:, 2], "y": y[:, 3], "ix": current.real, "iy": current.imag}
+    return RecordedRun("jeffcott", time, columns, speed * time, speed, 2000.0, {})
+
+
+def test_a_motion_with_saturated_amplifiers_is_found_from_what_was_measured():
+    """FAULT: at resonance the linear motion demands far more than they give, and led nowhere: runs were lost."""
+
+    def change(document):
+        document["blocks"]["amplifier"] = {"type": "current_clipping", "parameters": {"limit": SATURATION}}
+        document["blocks"]["controller"]["parameters"]["KI"] = 0.0
+        others = [wire for wire in document["wires"] if wire[1] != "amb.current"]
+        wires = [["controller.current", "amplifier.current"], ["amplifier.limited", "amb.current"]]
+        document["wires"] = [*others, *wires]
+        document["identify"] = {"viscous_damping": {}}
+
+    experiment = open_experiment(changed("jeffcott", change), recorded([saturated(W) for W in (560.0, 600.0, 640.0)]))
+    motion, theta = experiment.motion, experiment.theta0
+    assert isinstance(motion, NonlinearMotion)
+    assert replace(motion, measured=None).predict(theta).settled.tolist() == [True, False, True]
+    found = motion.predict(theta)
+    assert found.settled.all()
+    off = np.abs(found.Y - experiment.measured(motion.K))[:, 1].max(axis=1)
+    assert (off < 2e-3 * np.abs(found.Y[:, 1]).max(axis=1)).all()  # corners are cut beyond the last order
 
 
 def test_a_nonlinear_diagram_takes_no_measured_inputs():

@@ -1,7 +1,5 @@
 """What small forces change in a settled motion: by transfer matrices where it is linear, else by its derivatives."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -69,7 +67,7 @@ def test_the_answer_to_all_orders_of_the_force_of_a_crack_is_the_derivative_by_i
     one = experiment(*changes, free="crack_stiffness")
     motion, theta = one.motion, np.array([3e5])
     equations = Equations(one.model, (*one.predicted, *CRACK_FORCE), one.free, motion.p)
-    force = replace(motion, equations=equations).predict(theta).sensitivity()[:, :, -2:]
+    force = motion.reading(equations).predict(theta).sensitivity()[:, :, -2:]
     assert (np.abs(force[:, [0, 1, 2, 3]]) > 1e-3 * np.abs(force).max()).any(axis=2).all()
     found = motion.predict(theta)
     expected = found.sensitivity()

@@ -214,7 +214,7 @@ def test_what_linear_modes_do_not_explain_is_said_to_be_so():
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say():
-    """Of 40 run-ups with two intervals each; 90 % of 80 are 72, and fewer than 65 come once in two hundred by chance."""
+    """Of 40 run-ups with two intervals each; 90 % of 80 are 72, fewer than 65 come once in two hundred by chance."""
     rng = np.random.default_rng(7)
     held = []
     for seed in range(40):

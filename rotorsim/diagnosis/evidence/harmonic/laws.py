@@ -218,7 +218,7 @@ class _Beside:
         if motion.is_linear and not is_linear(plain, [*self._states]):
             return None
         equations = Equations(plain, [*self._states], self.experiment.free, motion.p, linear=motion.is_linear)
-        other = replace(motion, equations=equations)
+        other = motion.reading(equations)
         if motion.is_linear:
             return other.predict(self.theta)
         other.begin_from(motion, np.arange(len(motion.p)), self.theta)
