@@ -21,7 +21,7 @@ BALANCE_TOLERANCE = 1e-9  # relative residual of a settled motion
 SIZES = (1e-6, 1e-4, 1e-2, 1.0, 1e2)  # of states at which it is seen what a law moves: gaps and limits are passed
 POINTS_PER_SIZE = 4  # points of each size
 PARAMETER_SPREAD = 0.1  # relative, of the parameters there
-SEEN = 1e-6  # of the largest singular value: of directions of forces that outputs tell
+TOLD_FORCES = 1e-6  # of the largest singular value: of directions of forces that outputs tell
 
 
 @dataclass(eq=False)
@@ -107,7 +107,7 @@ class NonlinearMotion(SettledMotion):
         orders = slice(1, self.K + 1)  # means are seldom those of the sensors
         effect = C[:, None, plain] @ balance.G[:, orders]
         missing = np.nan_to_num(self.measured[:, orders, plain] - Y[:, orders, plain])
-        forces = np.linalg.pinv(effect, rcond=SEEN) @ missing[..., None]
+        forces = np.linalg.pinv(effect, rcond=TOLD_FORCES) @ missing[..., None]
         near = linear.copy()
         near[:, orders] += (balance.G[:, orders, balance.S] @ forces)[..., 0]
         return balance.nearer(near)

@@ -31,6 +31,7 @@ FAR = 10.0  # times the least bound: places there are not looked at
 TRUE = {
     "residual_bow/0@rotor.force[4]": {"amplitude": 3e-8, "phase": 1.0},
     "sensor_gain/0@rotor.displacement[2]": {"gain_error": 2e-3},
+    "cubic_stiffness/0@rotor.force[3]": {"stiffness": 2e13},
 }
 LAWS = ("residual_bow/0", "unbalance_elsewhere/0", "anisotropic_support/0", "second_crack/0")
 

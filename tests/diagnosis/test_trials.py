@@ -27,6 +27,7 @@ from rotorsim.diagnosis.search.promises import (
     still_likely,
 )
 from rotorsim.diagnosis.search.screening import Screening
+from rotorsim.diagnosis.search.starts import with_near
 from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.diagram.diagram import Free
 from rotorsim.jobs.jobs import Jobs
@@ -226,6 +227,16 @@ def test_laws_that_linear_theory_tells_to_explain_too_little_are_not_fitted():
         assert out == [False, True]
     assert not is_beyond(Promise(0.7 * before.misfit), before, [some], 20.0)  # of all that is left without it
     assert is_beyond(Promise(0.7 * before.misfit, without=0.71 * before.misfit), before, [some], 20.0)
+
+
+def test_a_start_that_may_be_near_joins_the_declared_ones_and_its_law_the_diagram_as_given():
+    """Nothing is lost: where it leads nowhere the declared starts do as well as without it."""
+    near, given = {"k": 2.0, "law.a": 5.0}, {"k": 1.0}
+    groups = [[{"law.a": 1.0}], [{"law.a": 3.0}], [{**given, "law.a": 1.0}, {**given, "law.a": 3.0}]]
+    last = [{"k": 1.0, "law.a": 5.0}, *groups[2]]
+    assert with_near(groups, near) == [[near, {"law.a": 1.0}], groups[1], last]
+    assert with_near(groups[:1], near) == [[near, {"law.a": 1.0}]]
+    assert with_near(groups, {}) == groups
 
 
 def test_another_measure_of_the_noise_looks_again_at_what_promised_within_ten_times_the_least():

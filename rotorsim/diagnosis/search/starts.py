@@ -46,6 +46,18 @@ def led(groups: list[list[dict[str, float]]], start: dict[str, float]) -> list[l
     return [[start, {**groups[-1][0], **start}, *({**start, **group[0]} for group in groups[:DECLARED])]]
 
 
+def with_near(groups: list[list[dict[str, float]]], start: Mapping[str, float]) -> list[list[dict[str, float]]]:
+    """Return groups with one start more in the first, which may be near.
+
+    Where there are several, its law in the last as well, beside the diagram as given.
+    """
+    if not start:
+        return groups
+    law = {name: value for name, value in start.items() if name in groups[0][0]}
+    last = [[{**groups[-1][0], **law}, *groups[-1]]] if len(groups) > 1 else []
+    return [[dict(start), *groups[0]], *groups[1:-1], *last]
+
+
 def off_bounds(fit: Fit, nominal: Mapping[str, float]) -> dict[str, float]:
     """Return where parameters of the diagram as given that ended at a bound begin again: as given, off the bound.
 

@@ -38,7 +38,7 @@ from rotorsim.diagnosis.search.promises import (
     still_likely,
 )
 from rotorsim.diagnosis.search.screening import HINT, MOST_FITS, Screening
-from rotorsim.diagnosis.search.starts import jobs_of, led, off_bounds
+from rotorsim.diagnosis.search.starts import jobs_of, led, off_bounds, with_near
 from rotorsim.diagnosis.search.work import Work
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs
@@ -107,6 +107,8 @@ class Trials:
                 (start, led(groups, again.get(item.key) or near))
                 for item, (start, groups), near in zip(found, jobs, known, strict=True)
             ]
+            for k, law in screened.laws.items():
+                jobs[k] = (jobs[k][0], with_near(jobs[k][1], law.start))
             promised = {k: one for k in kept if (one := screened.laws.get(k) or promises[k]) is not None}
             begun = self._begun(before, jobs, kept, promised, is_out, called)
             beyond = _beyond(before, [*begun.values()])

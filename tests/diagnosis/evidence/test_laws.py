@@ -21,6 +21,7 @@ from tests.diagnosis.test_places import SPEEDS as SPEEDS_OF_RUNS
 from tests.identification import OTHER_GAINS, made, recorded, shipped
 from tests.reference.recordings import THESIS_GAINS
 
+CUBIC = "cubic_stiffness/0@rotor.force[3]"
 BOW, GAIN = "residual_bow/0@rotor.force[4]", "sensor_gain/0@rotor.displacement[2]"
 SPEEDS = np.array([100.0, 250.0])
 N, K = 64, 5
@@ -269,6 +270,20 @@ def test_laws_promise_what_their_fits_leave_beside_a_nonlinear_diagram(hidden):
         if item.key == hidden:
             assert told == pytest.approx(drop, rel=0.01)
             assert one.misfit < 1.1 * base.rows < 0.2 * one.without
+
+
+def test_a_law_that_is_not_linear_starts_where_its_step_leads():
+    """FAULT: a saturation began beside the parameters that imitated it, with 1574 times the misfit, and ended there."""
+    source, base, _ = concealing(CUBIC)
+    item = items(source, base)[CUBIC]
+    [one] = LawsBeside(source, base).promises([item])
+    assert one is not None
+    fit = fitted(source, base, item)
+    assert set(one.start) == {free.name for free in fit.free}
+    for name, value in fit.values.items():
+        assert one.start[name] == pytest.approx(value, rel=0.002), name
+        if name in base.values:
+            assert abs(one.start[name] - value) < 0.5 * abs(base.values[name] - value), name
 
 
 def test_without_free_parameters_nothing_is_known():

@@ -39,6 +39,7 @@ from rotorsim.diagnosis.evidence.harmonic.periodic_law import PeriodicLaw
 from rotorsim.diagnosis.evidence.harmonic.placed_law import PlacedLaw, entries_of, placed_law
 from rotorsim.diagnosis.evidence.harmonic.projection import basis_of, lengths_of, with_delay
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
+from rotorsim.diagram.diagram import Free
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.waveform.driven.equations import driven_equations
@@ -82,7 +83,7 @@ class _Beside:
         ports = dict.fromkeys(
             name.partition("[")[0] for one in self.laws.values() for some in one.moved for name in some
         )
-        self.runs, self.adequate = runs, is_adequate(fit)
+        self.runs, self.fit, self.adequate = runs, fit, is_adequate(fit)
         self.experiment = runs.open(diagram, inject=[*ports])
         self.motion, self.theta = self.experiment.motion, self.experiment.theta0
         self.laws = {key: one for key, one in self.laws.items() if not self._is_set(one.item)}
@@ -133,7 +134,31 @@ class _Beside:
         std = dict(zip(item.fault.free, step.std.tolist(), strict=True))
         sized = all(angle or key in item.fault.sizes for key, angle in zip(item.fault.free, angles, strict=True))
         exact = sized and self.motion.is_linear and law.is_affine(self._follow_states(one))
-        return Promise(step.misfit, without=float(self.left @ self.left), exact=exact, std=std)
+        start = {} if exact else self._start(one, law, eta, step, signals)
+        return Promise(step.misfit, start, without=float(self.left @ self.left), exact=exact, std=std)
+
+    def _start(
+        self, one: PlacedLaw, law: PeriodicLaw, eta: np.ndarray, step: _Step, signals: np.ndarray
+    ) -> dict[str, float]:
+        """Return the parameters of a law and of the diagram after the step from eta, within their bounds.
+
+        Of a law that is not linear a start beside the parameters of the diagram alone may lead to no motion at all.
+        What would change by more than itself, which linear theory does not tell, begins as given.
+        """
+        change = step.best(self.left)
+        eta = law.within(eta + np.where(_is_angle(law.equations.free) | (np.abs(change) < np.abs(eta)), change, 0.0))
+        added = law.added(eta, self.times, signals, self.motion.speeds, self.K)[..., :1]
+        white = np.concatenate(self._without_nuisances(self.likelihood.white(real_columns(self._answers(one, added)))))
+        rest = self.residual - np.pad(white[:, 0], (0, len(self.residual) - len(white)))
+        scale = lengths_of(self.jacobian)[0]
+        moved = -np.linalg.lstsq(self.jacobian / scale, rest, rcond=LEFT_BESIDE)[0] / scale
+        free = self.experiment.free
+        given = np.array([item.value for item in self.fit.free])
+        told = _is_angle(free) | (np.abs(moved[: len(free)]) < np.abs(self.theta))
+        theta = np.where(told, self.theta + moved[: len(free)], given)
+        theta = np.clip(theta, [item.low for item in free], [item.high for item in free])
+        own = zip(one.item.free, eta.tolist(), strict=True)
+        return {**dict(zip([item.name for item in free], theta.tolist(), strict=True)), **dict(own)}
 
     def _best(
         self, one: PlacedLaw, law: PeriodicLaw, starts: Sequence[np.ndarray], signals: np.ndarray
@@ -292,6 +317,11 @@ class _Beside:
         return self._driven[key]
 
 
+def _is_angle(free: Sequence[Free]) -> np.ndarray:
+    """Return which of some parameters are angles, (m,)."""
+    return np.array([item.unit == ANGLE_UNIT for item in free], bool)
+
+
 class _Step:
     """A linear step from a start: columns (rows, 1 + m), what the law adds there and its derivatives.
 
@@ -304,9 +334,14 @@ class _Step:
         U, s, V = np.linalg.svd(slopes / size, full_matrices=False)
         kept = s > INDEPENDENT * s.max(initial=0.0)
         self.base = U[:, kept]
-        self.std = np.linalg.norm(V[kept] / s[kept, None], axis=0) / size
+        self._factors = (V[kept] / s[kept, None]).T / size[:, None]
+        self.std = np.linalg.norm(self._factors, axis=1)
         rest = self._without(left - self.added)
         self.misfit = float(rest @ rest)
+
+    def best(self, left: np.ndarray) -> np.ndarray:
+        """Return the step of the parameters (m,) that leaves the misfit."""
+        return np.asarray(self._factors @ (self.base.T @ (left - self.added)))
 
     def spans(self, added: np.ndarray) -> bool:
         """Return whether the slopes make up what the law adds elsewhere."""
