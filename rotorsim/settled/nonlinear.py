@@ -106,8 +106,11 @@ class NonlinearMotion(SettledMotion):
         plain = [k for k in range(inner.c) if k not in inner.changing_outputs]
         orders = slice(1, self.K + 1)  # means are seldom those of the sensors
         effect = C[:, None, plain] @ balance.G[:, orders]
-        missing = np.nan_to_num(self.measured[:, orders, plain] - Y[:, orders, plain])
-        forces = np.linalg.pinv(effect, rcond=TOLD_FORCES) @ missing[..., None]
+        measured = self.measured[:, orders, plain]
+        size = np.linalg.norm(measured, axis=1, keepdims=True)[..., None]  # metres beside amperes
+        size = np.where(size > 0, size, 1.0)
+        missing = (measured - Y[:, orders, plain])[..., None] / size
+        forces = np.linalg.pinv(effect / size, rcond=TOLD_FORCES) @ missing
         near = linear.copy()
         near[:, orders] += (balance.G[:, orders, balance.S] @ forces)[..., 0]
         return balance.nearer(near)

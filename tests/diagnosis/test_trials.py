@@ -231,10 +231,10 @@ def test_laws_that_linear_theory_tells_to_explain_too_little_are_not_fitted():
 
 def test_a_start_that_may_be_near_joins_the_declared_ones_and_its_law_the_diagram_as_given():
     """Nothing is lost: where it leads nowhere the declared starts do as well as without it."""
-    near, given = {"k": 2.0, "law.a": 5.0}, {"k": 1.0}
+    near, given = {"c": 2.0, "law.a": 5.0}, {"c": 3.0, "k": 1.0}
     groups = [[{"law.a": 1.0}], [{"law.a": 3.0}], [{**given, "law.a": 1.0}, {**given, "law.a": 3.0}]]
-    last = [{"k": 1.0, "law.a": 5.0}, *groups[2]]
-    assert with_near(groups, near) == [[near, {"law.a": 1.0}], groups[1], last]
+    last = [{**given, "law.a": 5.0}, *groups[2]]
+    assert with_near(groups, near) == [[{"k": 1.0, **near}, {"law.a": 1.0}], groups[1], last]
     assert with_near(groups[:1], near) == [[near, {"law.a": 1.0}]]
     assert with_near(groups, {}) == groups
 

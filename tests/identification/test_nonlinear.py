@@ -199,7 +199,7 @@ def test_a_motion_with_saturated_amplifiers_is_found_from_what_was_measured():
     found = motion.predict(theta)
     assert found.settled.all()
     off = np.abs(found.Y - experiment.measured(motion.K))[:, 1].max(axis=1)
-    assert (off < 2e-3 * np.abs(found.Y[:, 1]).max(axis=1)).all()  # corners are cut beyond the last order
+    assert (off < 2e-3 * np.abs(found.Y[:, 1]).max(axis=1)).all()  # corners are cut beyond order 24: 1 / 24^2
 
 
 def test_a_nonlinear_diagram_takes_no_measured_inputs():

@@ -6,12 +6,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from math import isclose
 
-import numpy as np
 from scipy.stats import chi2
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Law
-from rotorsim.diagnosis.evidence.evidence import Bounds, Promise
+from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass, likely_spots
 from rotorsim.diagnosis.search.candidates import Candidate
@@ -25,10 +24,6 @@ BEST_LAWS = 2  # by their fits, which are tried at other places before one is ch
 OTHER_PLACES = 4  # of each of these, of promises that differ by more than
 DISTINCT = 1e-3  # relative: what promises the same does the same
 RIVAL_PLACES = 5  # of a law that is chosen, with a promise within
-# times the least misfit that any place allows, or the best fit leaves: places that allow no less are not looked at. The
-# bound is that of free harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own
-# parameters in it
-POSSIBLE = 10.0
 NEAR_PROMISE = 2.0  # times that at its best place, as linear theory may err
 NEARLY = 1.1  # times what the best fit leaves: within, laws promise as much beside it, where linear theory hardly errs
 SAME_PROMISE = 1e-6  # relative: what promises so nearly the same beside a fit does the same, but for units
@@ -206,15 +201,6 @@ def explains_all_but(before: Fit, fits: Sequence[Fit]) -> bool:
     least = min((fit.misfit for fit in fits if not fit.failure), default=before.misfit)
     most = CRITERIA.cause * (before.misfit - before.freedom)
     return not is_adequate(before) and (any(map(is_adequate, fits)) or before.misfit - least >= most)
-
-
-def is_impossible(places: Bounds | None, item: Insertion, fits: Sequence[Fit]) -> bool:
-    """Return whether not even free harmonics at the place of a law explain what the best of some fits explains."""
-    if places is None or places.by_law:
-        return False
-    [bound] = places.promises([item])
-    least = min((fit.misfit for fit in fits if not fit.failure), default=np.inf)
-    return bound is not None and bound.misfit > POSSIBLE * least
 
 
 def noticed_from(unknowns: int, level: float) -> float:

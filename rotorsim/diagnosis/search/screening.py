@@ -12,11 +12,14 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Bounds, Evidence, Promise
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.search.candidates import Job, Round
-from rotorsim.diagnosis.search.promises import POSSIBLE, at_best_places, misfit_of, most_promising
+from rotorsim.diagnosis.search.promises import at_best_places, misfit_of, most_promising
 from rotorsim.diagnosis.search.work import Work
 from rotorsim.jobs.threads import one_thread
 
 MOST_FITS = 90  # in one round; places beyond are screened
+# times the least misfit that any place allows: places that allow no less are not looked at. The bound is that of free
+# harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
+POSSIBLE = 10.0
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
 
 

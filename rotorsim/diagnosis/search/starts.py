@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import STARTS_TRIED, Insertion, fixed_of, limits_of, sizes_at, starts_of
+from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.search.candidates import Job
 
@@ -46,16 +47,23 @@ def led(groups: list[list[dict[str, float]]], start: dict[str, float]) -> list[l
     return [[start, {**groups[-1][0], **start}, *({**start, **group[0]} for group in groups[:DECLARED])]]
 
 
-def with_near(groups: list[list[dict[str, float]]], start: Mapping[str, float]) -> list[list[dict[str, float]]]:
-    """Return groups with one start more in the first, which may be near.
+def near_laws(jobs: Sequence[Job], laws: Mapping[int, Promise]) -> list[Job]:
+    """Return jobs with what is known of their laws {job: promise} as one start more."""
+    pairs = ((job, laws[k].start if k in laws else {}) for k, job in enumerate(jobs))
+    return [(document, with_near(groups, start)) for (document, groups), start in pairs]
 
-    Where there are several, its law in the last as well, beside the diagram as given.
+
+def with_near(groups: list[list[dict[str, float]]], start: Mapping[str, float]) -> list[list[dict[str, float]]]:
+    """Return groups with one start more in the first, which may be near; what it leaves open is that of the last group.
+
+    Where there are several, its law in the last as well, which begins beside the diagram as given.
     """
     if not start:
         return groups
     law = {name: value for name, value in start.items() if name in groups[0][0]}
+    near = {**groups[-1][0], **start}
     last = [[{**groups[-1][0], **law}, *groups[-1]]] if len(groups) > 1 else []
-    return [[dict(start), *groups[0]], *groups[1:-1], *last]
+    return [[near, *groups[0]], *groups[1:-1], *last]
 
 
 def off_bounds(fit: Fit, nominal: Mapping[str, float]) -> dict[str, float]:

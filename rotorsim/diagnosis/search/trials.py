@@ -29,16 +29,14 @@ from rotorsim.diagnosis.search.promises import (
     at_next_places,
     at_other_places,
     at_rival_places,
-    explains_all_but,
     is_beyond,
-    is_impossible,
     level_of,
     likely_of,
     noticed_from,
     still_likely,
 )
 from rotorsim.diagnosis.search.screening import HINT, MOST_FITS, Screening
-from rotorsim.diagnosis.search.starts import jobs_of, led, off_bounds, with_near
+from rotorsim.diagnosis.search.starts import jobs_of, led, near_laws, off_bounds
 from rotorsim.diagnosis.search.work import Work
 from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs
@@ -93,9 +91,7 @@ class Trials:
         called = [k for k in screened.kept if found[k].from_lines and k not in screened.laws]
 
         def is_out(k: int, first: Sequence[Fit]) -> bool:
-            if is_beyond(screened.laws.get(k), before, first, noticed_from(len(found[k].free), level)):
-                return True
-            return explains_all_but(before, first) and is_impossible(places, found[k], first)
+            return is_beyond(screened.laws.get(k), before, first, noticed_from(len(found[k].free), level))
 
         if many:
             classes = () if places is None else places.classes
@@ -107,8 +103,7 @@ class Trials:
                 (start, led(groups, again.get(item.key) or near))
                 for item, (start, groups), near in zip(found, jobs, known, strict=True)
             ]
-            for k, law in screened.laws.items():
-                jobs[k] = (jobs[k][0], with_near(jobs[k][1], law.start))
+            jobs = near_laws(jobs, screened.laws)
             promised = {k: one for k in kept if (one := screened.laws.get(k) or promises[k]) is not None}
             begun = self._begun(before, jobs, kept, promised, is_out, called)
             beyond = _beyond(before, [*begun.values()])
@@ -126,6 +121,7 @@ class Trials:
             left = [k for k, one in enumerate(promises) if one is not None and k not in begun]
             untried = [(found[k], jobs[k]) for k in left]
         else:
+            jobs = near_laws(jobs, screened.laws)
             begun = self._begun(before, jobs, screened.kept, screened.laws, is_out, called)
         first = [*begun.values()]
         later = [k for k, fit in begun.items() if fit.failure == DEFERRED and not is_out(k, first)]
@@ -138,8 +134,10 @@ class Trials:
         self.counts["fits"] += len(found)
         fits, ended = self._refined(before, jobs, fits, [item.law for item in found])
         found, fits = self._finer(before, found, fits)
+        beyond = _beyond(before, fits)  # what leaves more may have been stopped early
+        ended |= {k for k, fit in enumerate(fits) if fit.failure or (not fit.nonlinear and fit.misfit <= beyond)}
         tried = [
-            Candidate(item, fit, self._astray(before, fit), bool(fit.failure) or not fit.nonlinear or k in ended)
+            Candidate(item, fit, self._astray(before, fit), k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
         ]
         tried += self._meant(before, tried, untried)

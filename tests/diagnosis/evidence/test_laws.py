@@ -280,10 +280,9 @@ def test_a_law_that_is_not_linear_starts_where_its_step_leads():
     assert one is not None
     fit = fitted(source, base, item)
     assert set(one.start) == {free.name for free in fit.free}
-    for name, value in fit.values.items():
-        assert one.start[name] == pytest.approx(value, rel=0.002), name
-        if name in base.values:
-            assert abs(one.start[name] - value) < 0.5 * abs(base.values[name] - value), name
+    assert one.start["cubic_stiffness.stiffness"] == pytest.approx(fit.values["cubic_stiffness.stiffness"], rel=0.01)
+    for name, value in base.values.items():  # half of the way at least
+        assert abs(one.start[name] - fit.values[name]) < 0.5 * abs(value - fit.values[name]), name
 
 
 def test_without_free_parameters_nothing_is_known():

@@ -83,7 +83,7 @@ class _Beside:
         ports = dict.fromkeys(
             name.partition("[")[0] for one in self.laws.values() for some in one.moved for name in some
         )
-        self.runs, self.fit, self.adequate = runs, fit, is_adequate(fit)
+        self.runs, self.adequate = runs, is_adequate(fit)
         self.experiment = runs.open(diagram, inject=[*ports])
         self.motion, self.theta = self.experiment.motion, self.experiment.theta0
         self.laws = {key: one for key, one in self.laws.items() if not self._is_set(one.item)}
@@ -143,22 +143,19 @@ class _Beside:
         """Return the parameters of a law and of the diagram after the step from eta, within their bounds.
 
         Of a law that is not linear a start beside the parameters of the diagram alone may lead to no motion at all.
-        What would change by more than itself, which linear theory does not tell, begins as given.
+        What would change by more than itself is not told by linear theory: of the diagram it is left out.
         """
         change = step.best(self.left)
-        eta = law.within(eta + np.where(_is_angle(law.equations.free) | (np.abs(change) < np.abs(eta)), change, 0.0))
+        eta = law.within(eta + np.where(_told(law.equations.free, eta, change), change, 0.0))
         added = law.added(eta, self.times, signals, self.motion.speeds, self.K)[..., :1]
         white = np.concatenate(self._without_nuisances(self.likelihood.white(real_columns(self._answers(one, added)))))
         rest = self.residual - np.pad(white[:, 0], (0, len(self.residual) - len(white)))
-        scale = lengths_of(self.jacobian)[0]
-        moved = -np.linalg.lstsq(self.jacobian / scale, rest, rcond=LEFT_BESIDE)[0] / scale
-        free = self.experiment.free
-        given = np.array([item.value for item in self.fit.free])
-        told = _is_angle(free) | (np.abs(moved[: len(free)]) < np.abs(self.theta))
-        theta = np.where(told, self.theta + moved[: len(free)], given)
-        theta = np.clip(theta, [item.low for item in free], [item.high for item in free])
-        own = zip(one.item.free, eta.tolist(), strict=True)
-        return {**dict(zip([item.name for item in free], theta.tolist(), strict=True)), **dict(own)}
+        free, scale = self.experiment.free, lengths_of(self.jacobian)[0]
+        moved = (-np.linalg.lstsq(self.jacobian / scale, rest, rcond=LEFT_BESIDE)[0] / scale)[: len(free)]
+        theta = np.clip(self.theta + moved, [item.low for item in free], [item.high for item in free]).tolist()
+        told = zip(free, theta, _told(free, self.theta, moved), strict=True)
+        start = {item.name: value for item, value, known in told if known}
+        return start | dict(zip(one.item.free, eta.tolist(), strict=True))
 
     def _best(
         self, one: PlacedLaw, law: PeriodicLaw, starts: Sequence[np.ndarray], signals: np.ndarray
@@ -317,9 +314,10 @@ class _Beside:
         return self._driven[key]
 
 
-def _is_angle(free: Sequence[Free]) -> np.ndarray:
-    """Return which of some parameters are angles, (m,)."""
-    return np.array([item.unit == ANGLE_UNIT for item in free], bool)
+def _told(free: Sequence[Free], value: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return which changes of parameters linear theory tells, (m,): of angles, and those smaller than the value."""
+    angle = np.array([item.unit == ANGLE_UNIT for item in free], bool)
+    return np.asarray(angle | (np.abs(change) < np.abs(value)))
 
 
 class _Step:
