@@ -7,16 +7,19 @@ import math
 from pathlib import Path
 from typing import Any
 
-__all__ = ["LINES", "compact", "read_diagnoses", "write_lines"]
+__all__ = ["LINES", "STOPPED", "TIMES", "compact", "read_diagnoses", "write_lines"]
 
 LINES = "diagnoses.jsonl"
+STOPPED = "stopped"
+TIMES = "times.jsonl"  # a line for each run of the program
 DIGITS = 9  # significant; comparison.RELATIVE is a thousand times coarser
 
 
 def read_diagnoses(folder: Path) -> dict[str, dict[str, Any] | None]:
     """Return the diagnosis of each case: of FOLDER/CASE/diagnosis.json or of a line of FOLDER/diagnoses.jsonl.
 
-    None where a file cannot be read or holds no diagnosis.
+    None where a file cannot be read or holds no diagnosis. `cpu_s`: the CPU seconds that it took, where they are known.
+    The verdict is STOPPED where the time for a case was over.
 
     Raises:
         FileNotFoundError: there is no such folder
@@ -34,6 +37,12 @@ def read_diagnoses(folder: Path) -> dict[str, dict[str, Any] | None]:
             data = None
         # the mistakes of a refused recording are JSON too
         found[file.parent.name] = data if isinstance(data, dict) and "verdict" in data else None
+    times = (folder / TIMES).read_text(encoding="utf-8").splitlines() if (folder / TIMES).is_file() else []
+    for line in map(json.loads, times):
+        if line["exit"] < 0 and not found.get(line["case"]):
+            found[line["case"]] = {"verdict": STOPPED}
+        if data := found.get(line["case"]):
+            data["cpu_s"] = line["cpu_s"]
     return dict(sorted(found.items()))
 
 
@@ -50,7 +59,7 @@ def compact(data: dict[str, Any]) -> dict[str, Any]:
 
     Prose, warnings and counts are left out, and of rejected candidates the reasons. Numbers have 9 significant digits.
     """
-    kept = {key: data[key] for key in ("verdict", "where", "fit", "nearest", "residual") if key in data}
+    kept = {key: data[key] for key in ("verdict", "where", "fit", "nearest", "residual", "cpu_s") if key in data}
     kept["missing"] = [
         {key: value for key, value in item.items() if key != "parameters"}
         | {"parameters": _estimates(item.get("parameters"))}

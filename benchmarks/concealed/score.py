@@ -107,6 +107,7 @@ def judge(truth: dict[str, Any], diagnosis: dict[str, Any] | None) -> dict[str, 
         "credit": {},
         "place_classes": None,
         "places": None,
+        "cpu_s": diagnosis.get("cpu_s") if diagnosis else None,
     }
     if diagnosis is None:
         return result

@@ -9,11 +9,12 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 import numpy as np
 
-from benchmarks.concealed.compact import read_diagnoses
+from benchmarks.concealed.compact import TIMES, read_diagnoses
 from benchmarks.concealed.generator import KINDS, MIX, make_case
 from benchmarks.concealed.machines import MACHINES
 from benchmarks.concealed.writing import write_case
@@ -128,7 +129,10 @@ def held_out(folder: Path, case: str) -> Path:
 def diagnose(
     folder: Path, diagnoses: Path, processes: int, timeout: float, diagram: str | None, extra: list[str]
 ) -> dict[str, int]:
-    """Run `rotorsim diagnose` on each case that has no diagnosis yet; return the exit codes (-1: timeout)."""
+    """Run `rotorsim diagnose` on each case that has no diagnosis yet; return the exit codes (negative: stopped).
+
+    A line in DIAGNOSES/times.jsonl tells the seconds of each, of all its processes; stopped after `timeout`.
+    """
     folder = folder.resolve()
     diagrams = diagrams_of(folder, diagram)
     program = Path(sys.executable).with_name("rotorsim")
@@ -143,13 +147,17 @@ def diagnose(
         hold = held_out(folder, name)
         command += (["--hold-out", str(hold)] if hold.exists() else []) + extra
         with open(diagnoses / f"{name}.log", "w") as log:
-            try:
-                code = subprocess.run(
-                    command, stdout=log, stderr=subprocess.STDOUT, timeout=timeout, env=environment
-                ).returncode
-            except subprocess.TimeoutExpired:
-                code = -1
-        print(f"{name}: exit {code}, {time.perf_counter() - begin:.0f} s", file=sys.stderr)
+            process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=environment)
+            stopped = Timer(timeout, process.kill)
+            stopped.start()
+            _, status, used = os.wait4(process.pid, 0)  # with the processes that it has waited for
+            stopped.cancel()
+        code, cpu, wall = os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, time.perf_counter() - begin
+        process.returncode = code
+        line = {"case": name, "exit": code, "cpu_s": round(cpu, 1), "wall_s": round(wall, 1)}
+        with open(diagnoses / TIMES, "a") as file:
+            file.write(json.dumps(line) + "\n")
+        print(f"{name}: exit {code}, {cpu:.0f} s of CPU, {wall:.0f} s", file=sys.stderr)
         return code
 
     with ThreadPoolExecutor(processes) as pool:

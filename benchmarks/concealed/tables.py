@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from statistics import median
 from typing import Any
 
+from benchmarks.concealed.compact import STOPPED
 from benchmarks.concealed.score import DECADES
 
 
@@ -54,7 +55,7 @@ def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
     rows = [(item, physics) for item in known for physics in item["missing"]]
     out: dict[str, Any] = {
         "cases": len(judged),
-        "diagnosed": len(done),
+        "diagnosed": len([item for item in done if item["verdict"] != STOPPED]),
         "named": _count([item["named"][physics] for item, physics in rows]),
         "named_one": _count([item["named"][item["missing"][0]] for item in kind["one"]]),
         "named_both": _count([all(item["named"].values()) for item in kind["two"]]),
@@ -65,7 +66,7 @@ def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
         "place_classes": _numbers([item["place_classes"] for item in known]),
         "places": _numbers([item["places"] for item in known]),
         "false_name": _count([bool(item["false_names"]) for item in known]),
-        "false_alarm": _count([item["verdict"] != "consistent" for item in kind["nothing"]]),
+        "false_alarm": _count([item["verdict"] not in ("consistent", STOPPED) for item in kind["nothing"]]),
         "missed": _count([item["verdict"] == "consistent" for item in known]),
         "abstained": _count([item["verdict"] != "consistent" and not item["class_sizes"] for item in known]),
         "outside_recognised": _count([item["verdict"] == "outside_catalogue" for item in kind["outside"]]),
@@ -74,6 +75,7 @@ def summary(judged: list[dict[str, Any]]) -> dict[str, Any]:
         "alias_absorbed": _count([item["verdict"] == "consistent" for item in kind["alias"]]),
         "alias_false_name": _count([bool(item["false_names"]) for item in kind["alias"]]),
         "verdict_right": {name: _count([item["right"] for item in items]) for name, items in kind.items()},
+        "cpu_s": {name: _numbers([item["cpu_s"] for item in items]) for name, items in kind.items()},
         "class_size": _numbers([float(size) for item in known for size in item["class_sizes"]]),
     }
     out["named_by_detectability"] = {
@@ -176,6 +178,9 @@ def markdown(result: dict[str, Any], title: str) -> str:
         )
         if result[key]["of"]
     ]
+    for kind, seconds in result["cpu_s"].items():
+        if seconds["of"]:
+            lines.append(f"| CPU seconds a case, {kind} | {_spread(seconds, percent=False)} |")
     gain = result["held_out_gain"]
     lines.append(f"| log(before/after) over log(before/noise floor), held-out | {_spread(gain['of_one_and_two'])} |")
     achieved = gain["of_what_is_achievable"]

@@ -74,6 +74,14 @@ def test_odds_of_less_than_150_to_1_do_not_part_two_explanations(more, members):
     assert set(effect_of(found, Round(before, (found, rival)), 0.0).members) == members
 
 
+@pytest.mark.parametrize(("more", "members"), [(0, {"rub", "clearance"}), (2, {"clearance"})])
+def test_what_a_mesh_gets_wrong_is_no_excuse_for_more_parameters(more, members):
+    """FAULT: a misalignment with six more parameters was a rival of an open crack that leaves as much."""
+    before = Fit({}, misfit=5000.0, rows=ROWS, equations=ROWS)
+    found, rival = candidate("clearance", 980.0, 1), candidate("rub", 978.0 if more else 1000.0, 1 + more)
+    assert set(effect_of(found, Round(before, (found, rival)), 98.0).members) == members
+
+
 def test_of_more_than_four_explanations_none_is_named():
     for count, verdict in ((4, "missing_physics"), (5, "not_identifiable")):
         effect = SimpleNamespace(members=dict.fromkeys("abcde"[:count], 1 / count))

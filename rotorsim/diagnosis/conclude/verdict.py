@@ -37,7 +37,7 @@ def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
 
     It is compared as it was in that round: its rivals stood beside the same others. What holds its law as a special
     case, and explains no more than further parameters cost, is no rival; nor is a force of a machine once more as a
-    signal, with more of them.
+    signal, with more of them. Slack is no excuse for more parameters: what meshes get wrong, they would explain, too.
     """
     candidate = found.as_tried(candidate)
     own = candidate.insertion.physics
@@ -50,7 +50,7 @@ def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
         wider |= more_free and (candidate.insertion.fault.enters, item.insertion.fault.enters) == ("force", "signal")
         if wider and item.fit.criterion >= candidate.fit.criterion:
             continue
-        more = max(item.fit.criterion - candidate.fit.criterion - slack, 0.0) / scale
+        more = max(item.fit.criterion - candidate.fit.criterion - (0.0 if more_free else slack), 0.0) / scale
         best[item.insertion.physics] = min(best.get(item.insertion.physics, np.inf), more)
     best[own] = 0.0
     weights = {name: float(np.exp(-0.5 * value)) for name, value in best.items() if value <= CRITERIA.equivalent}
