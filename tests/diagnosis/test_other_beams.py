@@ -1,6 +1,7 @@
 """Beams that another program made on another mesh, with its own equations (shared recordings)."""
 
 import json
+from math import pi, remainder
 from pathlib import Path
 
 import pytest
@@ -49,3 +50,28 @@ def test_the_twist_of_a_disc_is_named_on_a_beam_and_measured(tmp_path):
     assert found.score_after.total < 1.05 * found.score_after.noise < found.score_before.total
     j = [item.name for item in found.after.free].index(f"{effect.physics}.amplitude")
     assert abs(found.after.theta[j] - truth["phi"]) < 4 * found.after.std(j)
+
+
+@pytest.mark.slow
+def test_ground_that_shakes_a_whole_beam_is_named_and_measured(tmp_path):
+    """FAULT: the ground was told to shake one node of a beam, which explains little of what it does to all of them."""
+    sets.make(sets.plan(tmp_path, 1, 5, "one", "fe_flexible", ("base_excitation",)), 1)
+    [case] = [file.parent for file in tmp_path.glob("*/recording.json")]
+    truth = json.loads((tmp_path / "truth" / f"{case.name}.json").read_text())["effect"]
+    held = load_any(tmp_path / "hold_out" / case.name)
+    found = diagnose(load("fe_flexible"), load_any(case), hold_out=held, physics=LINES, workers=2)
+    [effect] = found.effects
+    assert (effect.physics, effect.candidate.insertion.spot.node) == ("base_excitation", None)
+    assert found.score_after.total < 1.05 * found.score_after.noise < found.score_before.total
+    names, theta = [item.name for item in found.after.free], found.after.theta
+    for key, off in (
+        ("acceleration", lambda x: x - truth["acceleration"]),
+        ("direction", _half_turn(truth["direction"])),
+    ):
+        j = names.index(f"base_excitation.{key}")
+        assert abs(off(theta[j])) < 4 * found.after.std(j)
+
+
+def _half_turn(angle):
+    """Return how far an angle is from another, where the opposite direction is the same."""
+    return lambda x: remainder(x - angle, pi)
