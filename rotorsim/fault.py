@@ -17,7 +17,8 @@ class Of:
     """A start that follows the data: ``factor`` times the largest magnitude of an input of the block at its place.
 
     least: that of the run in which it is smallest, else of the one in which it is largest. power: of the magnitude.
-    per: a time that follows the data, by which it is divided where the parameter is a rate.
+    per: a time that follows the data, by which it is divided where the parameter is a rate. rate: of the largest rate
+    of change instead; where that is not known, that of the line that stands out most.
     """
 
     input: str
@@ -25,6 +26,7 @@ class Of:
     least: bool = False
     power: int = 1
     per: Longest | Sampled | None = None
+    rate: bool = False
 
 
 @dataclass(frozen=True)

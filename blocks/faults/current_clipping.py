@@ -33,7 +33,7 @@ class CurrentClipping(Block):
         for recorded, which in (("after", "one that flows"), ("before", "demand"))
         for law, starts, shape in (
             ("limit", (Of("current", 0.95), Of("current", 0.7)), "flat tops"),
-            ("slew", (1000.0, 200.0), "straight flanks"),
+            ("slew", (Of("current", 0.95, rate=True), Of("current", 0.7, rate=True)), "straight flanks"),
         )
     )
 

@@ -13,6 +13,7 @@ from rotorsim.block import Block
 from rotorsim.fault import Course, Dominant, Fault, Lines, Longest, Of, Onset, Sampled, Steps
 
 LEAST = "least"  # before the name of a signal: its size in the run in which it is smallest
+RATE = "rate of"  # before the name of a signal: its largest rate of change
 LONGEST = "longest run"  # among the largest magnitudes of signals: how long it is [s]
 SAMPLED = "step between samples"  # among the largest magnitudes of signals: the longest [s]
 DOMINANT = "dominant frequency"  # among the largest magnitudes of signals: of the line that stands out most [rad/s]
@@ -218,7 +219,7 @@ def sizes_at(insertion: Insertion, largest: Mapping[str, float]) -> dict[str, fl
     sizes = {key: value for key, value in largest.items() if key in (DOMINANT, *ONSETS, LINES, LONGEST, SAMPLED)}
     bounds = [item.input for item in insertion.fault.most.values() if isinstance(item, Of)]
     for key, source in (*((key, f"{insertion.spot.block}.{key}") for key in bounds), *insertion.feeds.items()):
-        for which in ("", f"{LEAST} "):
+        for which in ("", f"{LEAST} ", f"{RATE} "):
             signal = f"{which}{source}".rstrip("]")
             here = [v for name, v in largest.items() if name.startswith((f"{signal},", f"{signal}]"))]
             port = [v for name, v in largest.items() if name.partition("[")[0] == signal.partition("[")[0]]
@@ -287,5 +288,7 @@ def _number(item: float | Of | Longest | Sampled | Dominant | Onset | Lines, lar
         return float(item)
     size = largest.get(item.input, 1.0)
     size = largest.get(f"{LEAST} {item.input}", size) if item.least else size
+    if item.rate:
+        size = largest.get(f"{RATE} {item.input}", size * _number(Dominant(), largest))
     size = size or 1.0  # what stands still has no size
     return item.factor * size**item.power / (1.0 if item.per is None else _number(item.per, largest))

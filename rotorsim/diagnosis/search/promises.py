@@ -25,6 +25,7 @@ OTHER_PLACES = 4  # of each of these, of promises that differ by more than
 DISTINCT = 1e-3  # relative: what promises the same does the same
 RIVAL_PLACES = 5  # of a law that is chosen, with a promise within
 NEAR_PROMISE = 2.0  # times that at its best place, as linear theory may err
+UNLIKE_PROMISE = 4.0  # times that of a law that is not proportional to its parameters: its step begins elsewhere, too
 NEARLY = 1.1  # times what the best fit leaves: within, laws promise as much beside it, where linear theory hardly errs
 SAME_PROMISE = 1e-6  # relative: what promises so nearly the same beside a fit does the same, but for units
 RIVALS, RIVALS_OF_LAW = 8, 3  # that are tried beside the best fit at once, and of one law at different places
@@ -178,22 +179,28 @@ def at_other_places(
     return others
 
 
-def is_beyond(promise: Promise | None, before: Fit, fits: Sequence[Fit], noticed: float) -> bool:
+def drop_of(promise: Promise, before: Fit) -> float:
+    """Return how much of the misfit before a law explains by linear theory."""
+    return min(promise.without, before.misfit) - promise.misfit
+
+
+def is_beyond(promise: Promise | None, before: Fit, fits: Sequence[Fit], noticed: float, most: float) -> bool:
     """Return whether a law explains too little by linear theory to be a rival of those that were fitted first.
 
-    noticed: drop of the misfit from which on a law is noticed beside a diagram that explains the data.
+    noticed: drop of the misfit from which on a law is noticed beside a diagram that explains the data. most: the drop
+    that linear theory tells of the best law that is proportional to its parameters: of two laws it errs alike.
     """
     if promise is None:
         return False
-    without = min(promise.without, before.misfit)
-    drop = without - promise.misfit
+    drop = drop_of(promise, before)
     if is_adequate(before):
         return NEAR_PROMISE * drop < noticed
     least = min((fit.misfit for fit in fits if not fit.failure), default=before.misfit)
-    # FAULT: a bow that leaves noise was told to leave 547 times it, beside what explains the data
-    if promise.exact and explains_all_but(before, fits):
-        return NEAR_PROMISE * drop < without - least
-    return drop < STARTED * (before.misfit - least)
+    if promise.exact:
+        # FAULT: a bow that leaves noise was told to leave 547 times it, beside what explains the data
+        found = min(promise.without, before.misfit) - least if explains_all_but(before, fits) else 0.0
+        return NEAR_PROMISE * drop < max(most, found)
+    return drop < max(STARTED * (before.misfit - least), most / UNLIKE_PROMISE)
 
 
 def explains_all_but(before: Fit, fits: Sequence[Fit]) -> bool:

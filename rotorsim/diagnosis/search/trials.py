@@ -29,6 +29,7 @@ from rotorsim.diagnosis.search.promises import (
     at_next_places,
     at_other_places,
     at_rival_places,
+    drop_of,
     is_beyond,
     level_of,
     likely_of,
@@ -90,8 +91,10 @@ class Trials:
         level = level_of(hypotheses)
         called = [k for k in screened.kept if found[k].from_lines and k not in screened.laws]
 
+        most = max((drop_of(one, before) for one in screened.laws.values() if one.exact), default=0.0)
+
         def is_out(k: int, first: Sequence[Fit]) -> bool:
-            return is_beyond(screened.laws.get(k), before, first, noticed_from(len(found[k].free), level))
+            return is_beyond(screened.laws.get(k), before, first, noticed_from(len(found[k].free), level), most)
 
         if many:
             classes = () if places is None else places.classes
@@ -244,7 +247,7 @@ class Trials:
         fitted; promised: where something is known of it. is_out: what is not fitted beside the most promising.
         called: what lines of the recording call for, which nothing else explains: it is fitted first.
         """
-        known = [k for k in kept if k in promised and promised[k].misfit < np.inf]
+        known = [k for k in kept if k in promised and promised[k].misfit < np.inf and not is_out(k, [])]
         by_promise = sorted(known, key=lambda k: promised[k].misfit)
         order = [*called]
         first = self._fit([jobs[k] for k in order], Effort(FIRST_EVALUATIONS)) if order else []

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.diagnosis.catalogue.insertion import LEAST, LINES, LONGEST
+from rotorsim.diagnosis.catalogue.insertion import LEAST, LINES, LONGEST, RATE
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.identification.experiment import RESOLUTION, Experiment, open_experiment
 from rotorsim.model.load import load
@@ -79,19 +79,23 @@ class HarmonicRuns:
     def largest(self) -> dict[str, float]:
         """Return the largest magnitude of every recorded signal, by its flat name, and of the rates of displacements.
 
-        "least NAME": in the run in which it is smallest. LONGEST: the length of the longest run.
+        "least NAME": in the run in which it is smallest. "rate of NAME": of its rate of change. LONGEST: the length of
+        the longest run.
         """
         sizes: dict[str, list[float]] = {}
+        fastest: dict[str, float] = {}
         for item in self.harmonics:
             rates = item.fit.orders[:, None] * item.fit.speed * item.fit.values
             for c, name in enumerate(item.fit.names):
                 size = float(abs(item.fit.values[0, c])) + float(np.sqrt(2) * item.fit.rms[c])
                 sizes.setdefault(name, []).append(size)
+                rate = 2 * float(np.sqrt((np.abs(rates[:, c]) ** 2).sum()))
+                fastest[name] = max(fastest.get(name, 0.0), rate)
                 port, _, rest = name.partition("[")
                 if port.endswith(".displacement"):
-                    rate = 2 * float(np.sqrt((np.abs(rates[:, c]) ** 2).sum()))
                     sizes.setdefault(f"{port.removesuffix('displacement')}velocity[{rest}", []).append(rate)
         largest = {name: max(values) for name, values in sizes.items()}
+        largest |= {f"{RATE} {name}": rate for name, rate in fastest.items()}
         largest |= {f"{LEAST} {name}": min(values) for name, values in sizes.items()}
         largest[LONGEST] = max(float(np.ptp(item.run.time)) for item in self.harmonics)
         if self.second is not None and not self.second.follows:
