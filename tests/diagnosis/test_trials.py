@@ -22,6 +22,7 @@ from rotorsim.diagnosis.search.promises import (
     at_next_places,
     at_other_places,
     at_rival_places,
+    falls_short,
     is_beyond,
     likely_of,
     still_likely,
@@ -234,6 +235,17 @@ def test_laws_that_linear_theory_tells_to_explain_too_little_are_not_fitted():
         assert out == [False, True]
     assert not is_beyond(Promise(0.7 * before.misfit), before, [some], 20.0, 0.0)  # of all that is left without it
     assert is_beyond(Promise(0.7 * before.misfit, without=0.71 * before.misfit), before, [some], 20.0, 0.0)
+
+
+def test_beside_an_effect_a_law_must_explain_nine_tenths_of_the_rest():
+    """By linear theory half of that, a quarter where it is not proportional: of 1000, of which 1 is noise."""
+    before = left(1000.0)
+    for exact, share in ((True, 0.45), (False, 0.225)):
+        drops = [share * off * (before.misfit - before.freedom) for off in (1.001, 0.999)]
+        promised = [Promise(before.misfit - drop, without=before.misfit, exact=exact) for drop in drops]
+        assert [falls_short(one, before) for one in promised] == [False, True]
+    assert not falls_short(None, before)
+    assert not falls_short(Promise(1.0, without=1.0), left(1.0))
 
 
 def test_a_start_that_may_be_near_joins_the_declared_ones_and_its_law_the_diagram_as_given():

@@ -203,6 +203,14 @@ def is_beyond(promise: Promise | None, before: Fit, fits: Sequence[Fit], noticed
     return drop < max(STARTED * (before.misfit - least), most / UNLIKE_PROMISE)
 
 
+def falls_short(promise: Promise | None, before: Fit) -> bool:
+    """Return whether a law explains less by linear theory than one more effect must (`Criteria.worth`)."""
+    if promise is None or is_adequate(before):
+        return False
+    drop = (NEAR_PROMISE if promise.exact else UNLIKE_PROMISE) * drop_of(promise, before)
+    return drop < CRITERIA.worth * (before.misfit - before.freedom)
+
+
 def explains_all_but(before: Fit, fits: Sequence[Fit]) -> bool:
     """Return whether one of some fits explains what a diagram leaves, or all but what a cause may leave."""
     least = min((fit.misfit for fit in fits if not fit.failure), default=before.misfit)

@@ -93,6 +93,7 @@ def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Se
     trials.nominal = {item.name: item.value for item in base.free if item.unit != ANGLE_UNIT}
     trials.unsized = frozenset(item.name for item in base.free if not (item.scale or item.value))
     trials.slack = slack = CRITERIA.mesh_error * base.rows if trials.evidence.refines_meshes(base.document) else 0.0
+    trials.base = base
     first = _round(trials, base)
     level = _level(first)
     worth = _noticed(first.tried, base, level, slack) if is_adequate(base) else first.tried

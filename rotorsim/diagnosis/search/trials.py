@@ -30,6 +30,7 @@ from rotorsim.diagnosis.search.promises import (
     at_other_places,
     at_rival_places,
     drop_of,
+    falls_short,
     is_beyond,
     level_of,
     likely_of,
@@ -67,9 +68,10 @@ class Trials:
         self.nominal: dict[str, float] = {}
         self.unsized: frozenset[str] = frozenset()
         self.slack = 0.0
+        self.base: Fit | None = None
 
     def round(self, before: Fit) -> Round:
-        """Try every insertion into a fitted diagram."""
+        """Try every insertion into a fitted diagram; beside an effect, few of those that will never be one more."""
         document, largest = values_in(before.document, before.values), self.evidence.largest()
         earlier = self.rounds.get(structure_of(before.document))
         again = {} if earlier is None else earlier.worth_again(AGAIN)
@@ -94,7 +96,9 @@ class Trials:
         most = max((drop_of(one, before) for one in screened.laws.values() if one.exact), default=0.0)
 
         def is_out(k: int, first: Sequence[Fit]) -> bool:
-            return is_beyond(screened.laws.get(k), before, first, noticed_from(len(found[k].free), level), most)
+            one = screened.laws.get(k)
+            short = before is not self.base and bool(first) and falls_short(one, before)
+            return short or is_beyond(one, before, first, noticed_from(len(found[k].free), level), most)
 
         if many:
             classes = () if places is None else places.classes
