@@ -10,9 +10,17 @@ from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.verdict import effect_of, rejected_of, unfinished, verdict_of
 from rotorsim.diagnosis.evidence.evidence import Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
-from rotorsim.diagnosis.search.candidates import Candidate, Round, simplest_first
+from rotorsim.diagnosis.search.candidates import SAME, Candidate, Round, simplest_first
 from rotorsim.diagnosis.search.idle import nested, simplified
-from rotorsim.diagnosis.search.selection import _completed, _level, _reconsidered, _selected, _simplified, least_gain
+from rotorsim.diagnosis.search.selection import (
+    _completed,
+    _level,
+    _margin,
+    _reconsidered,
+    _selected,
+    _simplified,
+    least_gain,
+)
 from rotorsim.diagram.diagram import Free
 from tests.diagnosis.test_verdicts import ROWS, left, named, selection
 
@@ -532,6 +540,13 @@ def test_before_another_effect_is_looked_for_nothing_is_left_out_that_promises_a
     assert [item.insertion.physics for item in _selected(trials, base).chosen] == ["delay"]
     asked = [("mode", "every"), *([("mode", "beside")] if found_by == "beside" else [])]
     assert calls == [*asked, ("delay", "beside"), ("delay", "alike")]
+
+
+def test_a_simpler_law_beside_the_others_needs_no_margin():
+    """FAULT: a misalignment, of six parameters more, was kept for an open crack that leaves as much beside its second."""
+    crack, coupling = candidate("open_crack", 2450.0, 1), candidate("parallel_misalignment", 2446.0, 7)
+    assert _margin(crack, coupling, 295.0) == SAME
+    assert _margin(coupling, crack, 295.0) == _margin(crack, crack, 295.0) == 10.0 + 295.0
 
 
 def test_the_nearest_leaves_least_be_it_physical_or_not():

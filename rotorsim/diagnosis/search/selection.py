@@ -285,13 +285,19 @@ def _reconsidered(
         again = _round(trials, without)  # all: what was rejected before stood beside less
         rounds[k] = again
         best = again.best
-        if best is not None and best.fit.criterion < chosen[-1].fit.criterion - CRITERIA.equivalent - trials.slack:
+        if best is not None and best.fit.criterion < chosen[-1].fit.criterion - _margin(best, chosen[-1], trials.slack):
             chosen = (*others, best)
             rounds = [*(item for j, item in enumerate(rounds) if j != k), again]
             k = 0
             continue
         k += 1
     return chosen, rounds
+
+
+def _margin(other: Candidate, chosen: Candidate, slack: float) -> float:
+    """Return how much better another effect must be than the one that was found; a simpler one need only be better."""
+    simpler = len(other.fit.free) < len(chosen.fit.free)
+    return SAME if simpler else CRITERIA.equivalent + slack
 
 
 def _level(found: Round) -> float:
