@@ -543,7 +543,7 @@ def test_before_another_effect_is_looked_for_nothing_is_left_out_that_promises_a
 
 
 def test_a_simpler_law_beside_the_others_needs_no_margin():
-    """FAULT: a misalignment, of six parameters more, was kept for an open crack that leaves as much beside its second."""
+    """FAULT: a misalignment, of six parameters more, was kept for an open crack that leaves as much."""
     crack, coupling = candidate("open_crack", 2450.0, 1), candidate("parallel_misalignment", 2446.0, 7)
     assert _margin(crack, coupling, 295.0) == SAME
     assert _margin(coupling, crack, 295.0) == _margin(crack, crack, 295.0) == 10.0 + 295.0
