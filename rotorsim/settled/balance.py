@@ -13,8 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import lu_solve
+from scipy.linalg.lapack import dgetrf as getrf
 
 MOST_NEWTON_STEPS = 60  # where a law has corners, as dry friction that nearly sticks, most of them are short
 SMALLEST_LENGTH = 2.0**-6  # part of a Newton step
@@ -154,6 +157,14 @@ class Tangent:
         whole = np.eye(rank * size) - matrix.reshape(R, rank * size, rank * size)
         self.matrix = np.where(np.isfinite(whole), whole, 0.0)
 
+    @cached_property
+    def _lu(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The factors of I - V G U of each run, for all right-hand sides. Raises LinAlgError."""
+        factors = [getrf(one) for one in self.matrix]
+        if any(info > 0 for *_, info in factors):
+            raise np.linalg.LinAlgError("singular matrix")
+        return [(lu, pivots) for lu, pivots, _ in factors]
+
     def forces(self, right: np.ndarray) -> np.ndarray:
         """Return D delta in the rows E for right (R, H+1, S, j): complex harmonics (R, H+1, E, j)."""
         return np.asarray(self.U @ self._w(right))
@@ -167,7 +178,8 @@ class Tangent:
         real = np.concatenate([right[:, :1].real, 2 * right[:, 1:].real, -2 * right[:, 1:].imag], axis=1)
         rank, size = self.T.shape[1], self.T.shape[3]
         flat = self.T.transpose(0, 1, 3, 2, 4).reshape(R, rank * size, S * size)
-        w = np.linalg.solve(self.matrix, flat @ real.transpose(0, 2, 1, 3).reshape(R, S * size, j))
+        V_right = flat @ real.transpose(0, 2, 1, 3).reshape(R, S * size, j)
+        w = np.stack([lu_solve(lu, own, check_finite=False) for lu, own in zip(self._lu, V_right, strict=True)])
         w = w.reshape(R, rank, size, j)
         out = w[:, :, : H + 1].astype(complex)
         out[:, :, 1:] = (w[:, :, 1 : H + 1] - 1j * w[:, :, H + 1 :]) / 2
