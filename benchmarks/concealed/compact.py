@@ -10,7 +10,7 @@ from typing import Any
 __all__ = ["LINES", "STOPPED", "TIMES", "compact", "read_diagnoses", "write_lines"]
 
 LINES = "diagnoses.jsonl"
-STOPPED = "stopped"
+STOPPED = "stopped"  # the verdict of a case without one
 TIMES = "times.jsonl"  # a line for each run of the program
 DIGITS = 9  # significant; comparison.RELATIVE is a thousand times coarser
 
@@ -19,7 +19,7 @@ def read_diagnoses(folder: Path) -> dict[str, dict[str, Any] | None]:
     """Return the diagnosis of each case: of FOLDER/CASE/diagnosis.json or of a line of FOLDER/diagnoses.jsonl.
 
     None where a file cannot be read or holds no diagnosis. `cpu_s`: the CPU seconds that it took, where they are known.
-    The verdict is STOPPED where the time for a case was over.
+    The verdict is STOPPED where the program was killed, as it is when the time for a case is over.
 
     Raises:
         FileNotFoundError: there is no such folder

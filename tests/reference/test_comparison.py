@@ -125,3 +125,26 @@ def test_a_compacted_diagnosis_is_the_same_to_compare_and_to_score(tmp_path, cap
     found = read_diagnoses(tmp_path / "b")["x"]
     assert found is not None
     assert compact(found) == {key: value for key, value in found.items() if key != "case"}
+
+
+def test_times_are_scored_and_not_compared_and_what_ran_out_of_time_is_not_named(tmp_path, capsys):
+    """FAULT: folders of the same diagnoses differed by the seconds that they took."""
+    full = _write(tmp_path / "a", x=DIAGNOSIS)
+    _write(tmp_path / "b", x=DIAGNOSIS)
+    lines = ({"case": "x", "exit": 1, "cpu_s": 17.2}, {"case": "y", "exit": -9, "cpu_s": 60.0})
+    (tmp_path / "a" / "times.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+    assert main(["compare", full, str(tmp_path / "b"), "--common"]) == 0
+    found = read_diagnoses(tmp_path / "a")
+    assert (found["x"]["cpu_s"], found["y"]) == (17.2, {"verdict": "stopped", "cpu_s": 60.0})
+    assert main(["compact", full, str(tmp_path / "c" / "diagnoses.jsonl")]) == 0
+    assert {case: data["cpu_s"] for case, data in read_diagnoses(tmp_path / "c").items()} == {"x": 17.2, "y": 60.0}
+    truth = {"kind": "one", "machine": "jeffcott", "missing": ["rub"], "effect": {}, "nodes": {}, "parameters": {}}
+    (tmp_path / "set" / "truth").mkdir(parents=True)
+    for case in "xy":
+        (tmp_path / "set" / "truth" / f"{case}.json").write_text(json.dumps(truth | {"case": case}))
+    capsys.readouterr()
+    assert main(["score", str(tmp_path / "set"), full]) == 0
+    page = capsys.readouterr().out
+    assert "1 of 2 cases diagnosed." in page
+    assert "| effects named, with credit for the class | 1/2 = 50 %" in page
+    assert "| CPU seconds a case, one | median 38.6, 90 % below 60 (2) |" in page

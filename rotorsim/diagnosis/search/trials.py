@@ -92,12 +92,12 @@ class Trials:
         screened = screening.screened(before, found, jobs, places, earlier) if many else screening.all(before, found)
         level = level_of(hypotheses)
         called = [k for k in screened.kept if found[k].from_lines and k not in screened.laws]
-
+        beside = self.base is not None and before is not self.base
         most = max((drop_of(one, before) for one in screened.laws.values() if one.exact), default=0.0)
 
         def is_out(k: int, first: Sequence[Fit]) -> bool:
             one = screened.laws.get(k)
-            short = before is not self.base and bool(first) and falls_short(one, before)
+            short = beside and bool(first) and falls_short(one, before)
             return short or is_beyond(one, before, first, noticed_from(len(found[k].free), level), most)
 
         if many:

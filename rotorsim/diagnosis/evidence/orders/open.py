@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
-from rotorsim.diagnosis.catalogue.insertion import LONGEST, SAMPLED
+from rotorsim.diagnosis.catalogue.insertion import LONGEST, RATE, SAMPLED
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.base_fit import base_fit
 from rotorsim.diagnosis.evidence.fit import Fit
@@ -89,7 +89,10 @@ def _in_order(recording: OrderRecording, hold_out: OrderRecording) -> OrderRecor
 
 
 def _sizes(evidence: OrderEvidence, base: Fit) -> dict[str, float]:
-    """Return the largest magnitude of signals, simulated or as recorded, and how long runs and their samples are."""
+    """Return the largest magnitude of signals, simulated or as recorded, and how long runs and their samples are.
+
+    Rates are those of lines at the highest speed.
+    """
     document = values_in(base.document, base.values)
     tracked = evidence.tracked(document)
     found = largest_of(tracked, evidence.load(document))
@@ -100,4 +103,6 @@ def _sizes(evidence: OrderEvidence, base: Fit) -> dict[str, float]:
                 found[channel.name] = max(found.get(channel.name, 0.0), float(np.nanmax(size)))
     times = [track.run.time[track.first[0] :] for track in tracked.tracks]
     longest, step = max(float(np.ptp(time)) for time in times), max(float(np.diff(time).max()) for time in times)
-    return {**found, LONGEST: longest, SAMPLED: step}
+    fastest = max(float(np.abs(track.source.speed).max()) for track in tracked.tracks)
+    rates = {f"{RATE} {name}": fastest * size for name, size in found.items()}
+    return {**found, **rates, LONGEST: longest, SAMPLED: step}
