@@ -120,6 +120,7 @@ class Fault:
     simpler: parameter -> the value (or infinity) at which this is another physics, and which: where the data do not
     tell them apart, the other one is meant. holds: further physics that it is a case of, at no one value: what holds
     another and explains no more than its further parameters cost is no rival of it.
+    in_drift: parameters that only the drift of 1X within the runs shows: free where that is fitted, too.
     finer: options of a finer approximation of the law, which takes its place where the data show the difference.
     inherits: parameters and options that take the value that the block at the place has under the same name;
     "crack.sag" takes that of the one block of type crack, if there is one. law: in words, what the effect does with
@@ -137,6 +138,7 @@ class Fault:
     sizes: tuple[str, ...] = ()
     simpler: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     holds: tuple[str, ...] = ()
+    in_drift: tuple[str, ...] = ()
     of: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
     finer: Mapping[str, Any] = field(default_factory=dict)

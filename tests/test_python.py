@@ -95,6 +95,7 @@ def test_results_have_a_short_text_a_table_and_a_figure(jeffcott) -> None:
     assert jeffcott._repr_html_().startswith("<svg")
 
 
+@pytest.mark.slow
 def test_results_over_speed_are_datasets(jeffcott) -> None:
     pytest.importorskip("xarray")
     speeds = np.array([100.0, 200.0])

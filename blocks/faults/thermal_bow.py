@@ -20,9 +20,10 @@ class ThermalBow(Block):
         Fault(
             physics="thermal_bow",
             enters="force",
-            free={"growth": (1e-6,), "growth_phase": plane.ANGLES, "time_constant": (10.0, 100.0)},
+            free={"growth": (1e-6,), "growth_phase": plane.ANGLES, "time_constant": (Longest(1.0), Longest(10.0))},
             most={"growth": Of("displacement", 1e3), "time_constant": Longest(30.0)},  # a longer one: no drift is seen
             sizes=("growth",),
+            in_drift=("amplitude", "phase"),
             inherits=("stiffness",),
             law="the vector of 1X drifts at constant speed and comes to rest; force constant in speed",
             confused_with=("residual_bow", "unbalance_elsewhere"),

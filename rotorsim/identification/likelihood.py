@@ -112,6 +112,11 @@ class Likelihood:
         self.data_rows = self.white(real_columns(self.data[..., None]))[..., 0]
         self._means: list[np.ndarray] | None = None
 
+    @property
+    def sizes(self) -> list[int]:
+        """The number of real equations of each run."""
+        return [len(white.keep) for white in self.whiteners]
+
     def white(self, columns: np.ndarray) -> np.ndarray:
         """Return real columns (R, all, j) of each run whitened, (R, n, j)."""
         kept = columns[:, self.keep]

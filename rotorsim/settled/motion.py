@@ -51,13 +51,16 @@ class Prediction:
 class FreshMeans:
     """Slow states of one run that start with it: their places (k,), means (k,) and d mean / d theta (k, m).
 
-    count: of all slow states of the run.
+    count: of all slow states of the run. courses (k, 2): Legendre coefficients of degree 1 and 2 of each over the run;
+    by_courses (k, 2, m): their derivatives.
     """
 
     count: int
     places: np.ndarray
     values: np.ndarray
     jacobian: np.ndarray
+    courses: np.ndarray
+    by_courses: np.ndarray
 
     def start(self, near: np.ndarray | None) -> np.ndarray:
         """Return means (count,) to begin with: those known, the others as they were before, or zero."""
@@ -94,6 +97,11 @@ class SettledMotion(ABC):
     def at(self, p: np.ndarray) -> Self:
         """Return the motion at other known parameters p (R, n_p)."""
         return replace(self, p=p)
+
+    def elsewhere(self, p: np.ndarray, speeds: np.ndarray, K: int, r: int, beside: Torus | None) -> Self:
+        """Return the motion of other runs, which were not measured: p (n, n_p), speeds (n,), as long as run r."""
+        windows, phase = (np.full(len(speeds), values[r]) for values in (self.windows, self.phase))
+        return replace(self, p=p, speeds=speeds, K=K, windows=windows, phase=phase, beside=beside)
 
     def reading(self, equations: Equations) -> Self:
         """Return the motion with other outputs; equations: of the same diagram and parameters, with these."""
@@ -237,7 +245,8 @@ class LinearMotion(SettledMotion):
 
     def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
         """Return that no mean is known: the data say how far each has come."""
-        nothing = np.zeros(0, int), np.zeros(0), np.zeros((0, len(theta)))
+        m = len(theta)
+        nothing = np.zeros(0, int), np.zeros(0), np.zeros((0, m)), np.zeros((0, 2)), np.zeros((0, 2, m))
         return [FreshMeans(len(slow), *nothing) for slow in self.slow_states(theta)]
 
     def growth(self, theta: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import ive
 
 from rotorsim.settled.balance import Balance, harmonics_of, samples_of
 from rotorsim.settled.equations import Equations, PortEquations
@@ -15,6 +16,7 @@ from rotorsim.settled.motion import FreshMeans, Prediction, SettledMotion
 from rotorsim.settled.ports import Ports, open_ports
 from rotorsim.settled.resolvent import Resolvent
 from rotorsim.settled.slow_states import FRESH, slow_states
+from rotorsim.settled.torus import Torus
 
 EXTRA_ORDERS, SHARP_ORDERS = 8, 40  # beyond those compared with data
 BALANCE_TOLERANCE = 1e-9  # relative residual of a settled motion
@@ -58,6 +60,10 @@ class NonlinearMotion(SettledMotion):
     def _padded(self, C: np.ndarray) -> np.ndarray:
         C = C[:, : self.H + 1]
         return np.pad(C, ((0, 0), (0, self.H + 1 - C.shape[1]), (0, 0)))
+
+    def elsewhere(self, p: np.ndarray, speeds: np.ndarray, K: int, r: int, beside: Torus | None) -> NonlinearMotion:
+        """Return the motion of other runs, which were not measured; see `SettledMotion`."""
+        return replace(super().elsewhere(p, speeds, K, r, beside), measured=None)
 
     def reading(self, equations: Equations) -> NonlinearMotion:
         """Return the motion with other outputs, which were not measured."""
@@ -123,7 +129,9 @@ class NonlinearMotion(SettledMotion):
     def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
         """Return the means of slow states that start with the run.
 
-        x' = f - a x from x_0 on has over a window T the mean x_0 g + f T (1 - g) / u,  g = (1 - e^-u) / u,  u = a T.
+        x' = f - a x from x_0 on has over a window T the mean x_0 g + f T (1 - g) / u,  g = (1 - e^-u) / u,  u = a T,
+        and the Legendre coefficients (x_0 u - f T) l_n,  l_n = (2 n + 1) (-1)^n e^{-u/2} i_n(u / 2) / u;
+        i_n: modified spherical Bessel functions of the first kind.
         """
         self.opened(theta)
         equations, whole = self.equations, self.equations.whole
@@ -132,6 +140,7 @@ class NonlinearMotion(SettledMotion):
         for r, (slow, T) in enumerate(zip(self.slow, self.windows, strict=True)):
             places = np.flatnonzero(equations.means[slow] == FRESH)
             values, jacobian = np.zeros(len(places)), np.zeros((len(places), len(theta)))
+            courses, by_courses = np.zeros((len(places), 2)), np.zeros((len(places), 2, len(theta)))
             for k, state in enumerate(slow[places]):
                 x = np.zeros((equations.n, 2))
                 x[state, 1] = 1.0
@@ -141,7 +150,12 @@ class NonlinearMotion(SettledMotion):
                 g, rest = _settling(u)
                 values[k] = x_0[state] * g[0] + f[0] * T * rest[0]
                 jacobian[k] = (x_0[state] * g[1] + f[0] * T * rest[1]) * du + df[0] * T * rest[0]
-            every.append(FreshMeans(len(slow), places, values, jacobian))
+                far, by_far = x_0[state] * u - f[0] * T, x_0[state] * du - df[0] * T
+                for n in (1, 2):
+                    bend, by_bend = _bend(u, n)
+                    courses[k, n - 1] = far * bend
+                    by_courses[k, n - 1] = by_far * bend + far * by_bend * du
+            every.append(FreshMeans(len(slow), places, values, jacobian, courses, by_courses))
         return every
 
     def growth(self, theta: np.ndarray) -> np.ndarray:
@@ -298,3 +312,21 @@ def _settling(u: float) -> tuple[tuple[float, float], tuple[float, float]]:
     dg = (np.exp(-u) - g) / u
     rest = (1 - g) / u
     return (g, dg), (rest, -(dg + rest) / u)
+
+
+def _bend(u: float, n: int) -> tuple[float, float]:
+    """Return (2 n + 1) (-1)^n e^{-u/2} i_n(u / 2) / u of degree n = 1 or 2, and its derivative by u."""
+    if abs(u) < 1e-3:  # three terms of the series: 1e-9
+        if n == 1:
+            return -1 / 2 + u / 4 - 3 * u**2 / 40, 1 / 4 - 3 * u / 20
+        return u / 12 - u**2 / 24 + u**3 / 84, 1 / 12 - u / 12 + u**2 / 28
+    z, sign = u / 2, (2 * n + 1) * (-1) ** n
+    below, size = (_scaled_bessel(k, z) for k in (n - 1, n))
+    slope = below - (n + 1) / z * size - size  # of e^-z i_n
+    return sign * size / u, sign * (slope / 2 - size / u) / u
+
+
+def _scaled_bessel(n: int, z: float) -> float:
+    """Return e^-z i_n(z)."""
+    size = abs(z)
+    return float(np.sqrt(np.pi / (2 * size)) * ive(n + 0.5, size) * np.sign(z) ** n * np.exp(size - z))

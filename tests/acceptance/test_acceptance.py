@@ -136,6 +136,7 @@ def test_the_log_decrement(disc: Acceptance) -> None:
     assert (found.limit, found.at_most, found.verdict) == (0.1, False, "met")
 
 
+@pytest.mark.slow
 def test_cross_coupling_is_stable_up_to_the_damping_times_the_natural_frequency() -> None:
     """m q'' + d q' + (k - i Q) q = 0 of q = x + i y is at its limit where Q = d w, w^2 = k / m."""
     found = accept(load(jeffcott(4e5, 150.0)), operating=(300.0, 500.0), cross_coupling={"rotor.force": 5e4})
@@ -167,6 +168,7 @@ def test_a_machine_that_is_unstable_meets_nothing() -> None:
     assert (refused.verdict, refused.said) == ("not met", "no settled response: unstable from 100.77 to 5013.4 rpm")
 
 
+@pytest.mark.slow
 def test_what_is_not_given_is_not_judged_and_says_why() -> None:
     found = accept(load(jeffcott(4e5, 600.0)))
     assert found.verdict == "not judged"
@@ -179,6 +181,7 @@ def test_what_is_not_given_is_not_judged_and_says_why() -> None:
     assert (given.verdict, of(given, "D_max / C_min")[0].verdict) == ("met", "met")
 
 
+@pytest.mark.slow
 def test_a_sampled_controller_is_judged_by_its_exact_loop() -> None:
     pid = {"type": "discrete_pid", "parameters": {"KP": 12500.0, "KI": 10.0, "KD": 3.75, "sample_time": "0.01 ms"}}
     given = {"operating": (300.0, 500.0), "trip": 1200.0, "clearance": 0.3e-3}
@@ -392,6 +395,7 @@ def test_a_critical_speed_whose_upper_half_power_speed_is_beyond_the_range() -> 
 # -- several planes and places -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_conical_mode_beside_a_well_damped_translation_is_told() -> None:
     """Damping ratio 0.172, AF 2.9 by itself; in one plane its flank is lifted by the other mode, AF 1.6 as read."""
     found = of(accept(load("two_amb_rotor"), operating=(4000 * RPM, 6500 * RPM), clearance=0.2e-3), "separation margin")
@@ -401,6 +405,7 @@ def test_a_conical_mode_beside_a_well_damped_translation_is_told() -> None:
     assert inside[0].verdict == "not met"
 
 
+@pytest.mark.slow
 def test_a_mode_that_no_plane_excites_is_judged_by_its_damping() -> None:
     """Unbalance at the node of the conical mode of a symmetric rotor does not show it."""
     machine = rigid("pid", probes=(1, 5), kp=(1.2e4, 0.0), kd=(2.0, 0.0))
@@ -452,6 +457,7 @@ def passed():
     return tracked_recording(run_up([Mode(300.0, 0.03, 2e-5, -2e-5j)], 60.0, 500.0, 5.0, noise=2e-8), [1])[0]
 
 
+@pytest.mark.slow
 def test_a_critical_speed_that_was_passed_has_its_separation(passed) -> None:
     found = of(accept(None, passed, operating=(400.0, 480.0)), "separation margin")
     assert len(found) == 1
@@ -464,6 +470,7 @@ def test_a_critical_speed_that_was_passed_has_its_separation(passed) -> None:
     assert (vibration.limit, vibration.verdict) == (pytest.approx(25.4), "not met")
 
 
+@pytest.mark.slow
 def test_a_run_up_that_does_not_pass_all_operating_speeds_does_not_tell_that_there_is_none(passed) -> None:
     found = accept(None, passed, operating=(400.0, 800.0))
     assert [one.verdict for one in of(found, "separation margin")] == ["met", "not judged"]

@@ -228,6 +228,8 @@ def started(cls: type[Block], fault: Fault) -> dict[str, Any]:
             return 1.0
         if isinstance(value, (Lines, Steps)):
             return 100.0 if isinstance(value, Lines) else 2e-6
+        if isinstance(value, Longest):  # of a run of one second
+            return value.factor
         return value.factor * scale[value.input] ** value.power if isinstance(value, Of) else value
 
     free = {name: number(starts[0]) for name, starts in fault.free.items()}
@@ -367,6 +369,7 @@ LOOP = {  # a servo of one integrator, whose sensor is recorded
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", sorted(SIGNALS))
 def test_a_law_of_a_signal_runs_wherever_it_is_offered_and_changes_what_is_recorded(physics: str) -> None:
     diagram = load(LOOP)

@@ -25,6 +25,7 @@ def test_modes_of_the_thesis_by_one_command(run) -> None:
     assert {"frequency_hz", "natural_frequency_hz", "damping_ratio", "whirl"} <= set(rows[0])
 
 
+@pytest.mark.slow
 def test_poles_at_zero_of_a_free_rotor_are_counted(run) -> None:
     free = ("drawn_rotor", "--without", "amb_a", "--without", "amb_b")
     shown = run("modes", *free, "--set", "speed=0")
@@ -73,6 +74,7 @@ def test_periodic_is_where_a_long_run_settles(run) -> None:
     assert math.degrees(np.angle(value[0, at])) == pytest.approx(-7.49, abs=0.1)
 
 
+@pytest.mark.slow
 def test_periodic_as_text_and_figure(run) -> None:
     result = run("periodic", "jeffcott", "--speeds", "1400 rpm:100 rpm:1600 rpm", "--plot", "p.png")
     assert result.exit_code == 0

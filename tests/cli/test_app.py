@@ -173,6 +173,7 @@ def test_version_as_data(run) -> None:
     assert run("--version").stdout == f"rotorsim {__version__}\n"
 
 
+@pytest.mark.slow
 def test_the_installed_command_in_a_process_of_its_own(tmp_path) -> None:
     """Without anything of this process: entry point, exit code, and both streams kept apart."""
     command = [sys.executable, "-m", "rotorsim", "check", "jeffcott", "nonsense.json"]
@@ -204,6 +205,7 @@ def test_a_verb_uses_one_thread_of_linear_algebra_where_nobody_asks_for_more(giv
     assert done.stdout.splitlines()[-1] == f"1 {threads}"
 
 
+@pytest.mark.slow
 def test_a_run_needs_no_library_for_figures() -> None:
     code = "import sys\nfrom rotorsim.cli.app import rotorsim\n"
     code += "try: rotorsim.main(['run', 'jeffcott', '--set', 'controller.KI=0'])\nexcept SystemExit: pass\n"

@@ -137,6 +137,7 @@ def lines_of(text: str) -> list[str]:
     return [line for line in text.splitlines() if line]
 
 
+@pytest.mark.slow
 def test_a_recording_that_does_not_go_with_the_diagram(run: Run, healthy: str):
     """FAULT: these had neither a place nor a hint."""
 
@@ -203,6 +204,7 @@ def test_less_than_a_turn(run: Run, tmp_path_factory):
     )
 
 
+@pytest.mark.slow
 def test_one_speed_is_not_called_enough(run: Run, bowed: str):
     """At one speed a bow is an unbalance: nothing is found missing then, which proves nothing."""
     name = copied(bowed, "one", lambda content: content["runs"].__delitem__(slice(1, None)))
@@ -244,6 +246,7 @@ def test_the_diagram_itself_is_not_overwritten(run: Run, bowed: str):
     assert "error: --out .: would overwrite diagram.json" in result.stderr
 
 
+@pytest.mark.slow
 def test_a_diagram_that_does_not_have_the_signals(run: Run, bowed: str):
     result = run("diagnose", "fe_rigid", bowed)
     assert result.exit_code == 2

@@ -14,6 +14,7 @@ from rotorsim.diagram.resolve.resolution import shipped_diagrams
 DIAGRAMS = sorted(shipped_diagrams())
 
 
+@pytest.mark.slow
 def test_every_shipped_diagram_is_right_and_canonical(run) -> None:
     assert run("check", *DIAGRAMS).exit_code == 0
     result = run("fmt", "--check", *(str(file) for file in shipped_diagrams().values()))
@@ -70,6 +71,7 @@ def test_diff_compares_meaning(run, oscillator) -> None:
     }
 
 
+@pytest.mark.slow
 def test_swap_designs_a_state_feedback_that_levitates(run) -> None:
     result = run("swap", "jeffcott", "controller", "state_feedback", "-o", "new.json")
     assert (result.exit_code, result.stdout) == (0, "")

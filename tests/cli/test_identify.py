@@ -84,6 +84,7 @@ def test_json_is_all_that_goes_to_stdout(run: Run, good: str):
     assert data["diagram"] == "diagram.json"
 
 
+@pytest.mark.slow
 def test_exit_code_1_when_something_is_open(run: Run, poor: str):
     result = run("identify", "jeffcott", poor)
     assert result.exit_code == 1
@@ -109,6 +110,7 @@ def test_precision_is_in_percent_or_a_share(run: Run, poor: str):
         assert run("identify", "jeffcott", poor, "--precision", text).exit_code == 0
 
 
+@pytest.mark.slow
 def test_other_values_to_start_from(run: Run, good: str):
     plain = json.loads(run("identify", "jeffcott", good, "--json").stdout)["parameters"]
     started = json.loads(run("identify", "jeffcott", good, "--set", "crack_stiffness=1e5", "--json").stdout)
@@ -138,6 +140,7 @@ def test_warnings_go_to_stderr(run: Run, good: str, tmp_path: Path):
 # --- what it writes ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_folder_with_the_diagram_in_it(run: Run, good: str, tmp_path: Path):
     with undrawn():  # figures: tests/report
         result = run(

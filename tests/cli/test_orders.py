@@ -41,6 +41,7 @@ def table(tmp_path: Path) -> Path:
     return tmp_path / "table"
 
 
+@pytest.mark.slow
 def test_the_run_up_of_a_diagram_has_the_critical_speed_of_its_poles(run: Run) -> None:
     """m s^3 + (c + k_i K_D) s^2 + (k - k_s + k_i K_P) s + k_i K_I = 0, and the peak of that pair of poles."""
     found = run("orders", "jeffcott_runup", *QUICK, "--order", "1", "--json")
@@ -55,6 +56,7 @@ def test_the_run_up_of_a_diagram_has_the_critical_speed_of_its_poles(run: Run) -
     assert one["whirl"] == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_what_is_printed(run: Run, table: Path) -> None:
     found = run("orders", str(table), "--operating", "3600 rpm:4200 rpm", "--signal", "rotor.displacement[1]")
     assert found.exit_code == 0
@@ -68,6 +70,7 @@ def test_what_is_printed(run: Run, table: Path) -> None:
     assert lines[-1] == "2X: no critical speed between 623.5 and 4764.7 rpm"
 
 
+@pytest.mark.slow
 def test_a_margin_that_the_intervals_leave_open_is_unsure(run: Run, table: Path) -> None:
     """AF is 16.7 at a damping ratio of 0.03, which asks for 17 (1 - 1 / 15.2) = 15.9 %."""
     found = json.loads(run("orders", str(table), "--order", "1", "--json").stdout)
@@ -82,6 +85,7 @@ def test_a_margin_that_the_intervals_leave_open_is_unsure(run: Run, table: Path)
         assert margin["required"] == pytest.approx(15.9, abs=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figure", ["bode", "polar", "cascade", "centreline"])
 def test_figures_are_drawn(run: Run, figure: str) -> None:
     found = run("orders", "jeffcott_runup", *QUICK, "--order", "1", "--figure", figure, "--plot", "a.png")
@@ -93,6 +97,7 @@ def test_words_of_the_command_are_those_of_the_tables() -> None:
     assert tuple(PHASES) == PHASE_WORDS
 
 
+@pytest.mark.slow
 def test_a_figure_has_one_unit_and_says_what_it_leaves_out(run: Run) -> None:
     mixed = ("--signal", "rotor.displacement", "--signal", "controller.current")
     found = run("orders", "jeffcott_runup", *QUICK, "--order", "1", *mixed, "--plot", "a.png")
@@ -100,6 +105,7 @@ def test_a_figure_has_one_unit_and_says_what_it_leaves_out(run: Run) -> None:
     assert "error: jeffcott_runup, run: --figure bode has one scale, not A and m\n" in found.stderr
 
 
+@pytest.mark.slow
 def test_what_is_coupled_for_ac_has_no_centreline(run: Run, tmp_path: Path) -> None:
     record = ("record", "jeffcott_runup", *QUICK, "--window", "0.2 s:3.4 s", "--rate", "5000 Hz", "--out", "up")
     assert run(*record).exit_code == 0
@@ -112,6 +118,7 @@ def test_what_is_coupled_for_ac_has_no_centreline(run: Run, tmp_path: Path) -> N
     assert 'needs means, and x have none: "coupling": "ac"' in found.stderr
 
 
+@pytest.mark.slow
 def test_a_diagram_stands_beside_a_table(run: Run, table: Path) -> None:
     found = run("orders", str(table), "--order", "1", "--beside", "jeffcott", "--plot", "a.png")
     assert found.exit_code == 0, found.output
@@ -187,6 +194,7 @@ def _changed(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) ->
     )
 
 
+@pytest.mark.slow
 def test_motion_that_is_none_of_linear_modes_is_said_and_exits_with_one(run: Run, table: Path) -> None:
     def wavy(columns: dict[str, np.ndarray]) -> None:
         for axis in "xy":
@@ -200,6 +208,7 @@ def test_motion_that_is_none_of_linear_modes_is_said_and_exits_with_one(run: Run
     assert "error: up, 1X: the motion is not that of linear modes, and no critical speed is told" in found.stderr
 
 
+@pytest.mark.slow
 def test_a_speed_that_rises_and_falls_is_no_run_up(run: Run, table: Path) -> None:
     def mirrored(columns: dict[str, np.ndarray]) -> None:
         for name, values in [*columns.items()]:
@@ -220,6 +229,7 @@ def test_rows_that_overlap_are_warned_of(run: Run, table: Path) -> None:
     assert "warning: run up: rows overlap: each is the mean of 4 turns, and they are 1 turns apart\n" in found.stderr
 
 
+@pytest.mark.slow
 def test_names_that_a_csv_cannot_hold_are_written_plainly_and_read_back(run: Run, tmp_path: Path) -> None:
     recording = run_up([Mode(300.0, 0.03, 2e-5, -2e-5j)], 60.0, 500.0, 4.0, noise=2e-8)
     orders, _ = tracked_recording(recording, [1])

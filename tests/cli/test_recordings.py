@@ -84,6 +84,7 @@ def test_the_text(run, measured: str) -> None:
     assert ERROR.fullmatch(lines[-1])
 
 
+@pytest.mark.slow
 def test_tables_2_2_and_2_3_by_one_command(run) -> None:
     for method in ("regression", "fft"):
         arguments = ["--window", "4 s:5 s", "--harmonics", method]

@@ -53,6 +53,7 @@ def test_text_of_a_run(run) -> None:
     assert lines[first].split() == ["1", "3.17825", "7.97"]
 
 
+@pytest.mark.slow
 def test_a_run_up_names_its_resonance(run) -> None:
     data = json.loads(run("run", "jeffcott_runup", "--json").stdout)
     found = {row["signal"]: row["resonance_rpm"] for row in data["run_up"]}

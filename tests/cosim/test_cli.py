@@ -21,6 +21,7 @@ TRUST = ("--trust-blocks",)
 PART = ("--part", "controller", "--stop", "0.02 s")
 
 
+@pytest.mark.slow
 def test_what_it_says(run: Run) -> None:
     done = run("cosim", "jeffcott", *PART, "--step", "0.1 ms")
     assert (done.exit_code, done.stderr) == (0, "")
@@ -261,6 +262,7 @@ def test_states_that_cannot_be_taken_back(run: Run, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_an_fmu_that_nothing_is_coupled_to_has_no_largest_stable_step(run):
     assert run("fmu", "export", "jeffcott", "-o", "whole.fmu").exit_code == 0
     diagram = {"blocks": {"it": {"type": "fmu", "file": "whole.fmu"}}, "wires": [], "record": ["it.rotor_displacement"]}

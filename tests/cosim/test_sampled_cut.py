@@ -80,6 +80,7 @@ def chain(*kinds: tuple[str, str, dict[str, Any]]) -> Diagram:
     )
 
 
+@pytest.mark.slow
 def test_what_follows_held_signals_is_held_across_cuts() -> None:
     """Behind a sampler a gain is piecewise constant, also in another participant; behind a sine it is not."""
     diagram = chain(("hold", "sample_hold", {"sample_time": 0.1}), ("gain", "gain", {"gain": 2.0}))

@@ -34,6 +34,7 @@ def found(name: str, recorded: list[str], physics: str) -> list[Insertion]:
     return [item for item in insertions(load(name), recorded) if item.physics == physics]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "recorded"), [("jeffcott", RECORDED), ("fe_rigid", [*PROBES, *RECORDED[2:]])])
 def test_every_insertion_makes_a_valid_diagram(name, recorded):
     diagram = load(name)

@@ -106,7 +106,7 @@ def test_a_time_cannot_be_longer_than_thirty_runs():
     limits = limits_of(bow, sizes)
     assert limits["time_constant"] == pytest.approx((0.015, 15.0))
     assert limits["growth"] == pytest.approx((0.0, 0.03))
-    assert [start["time_constant"] for start in starts_of(bow, sizes)] == [10.0, 15.0] * 3
+    assert [start["time_constant"] for start in starts_of(bow, sizes)] == [0.5, 5.0] * 3
     document = bow.document(shipped("jeffcott").document, starts_of(bow, sizes)[0], limits)
     assert document["identify"]["thermal_bow.time_constant"] == pytest.approx({"low": 0.015, "high": 15.0})
     assert document["identify"]["thermal_bow.growth_phase"] == {}

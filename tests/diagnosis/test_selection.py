@@ -40,7 +40,9 @@ def candidate(
         smoothed=(),
         fault=SimpleNamespace(confused_with=alike, special_cases=(), enters="force"),
     )
-    return SimpleNamespace(fit=fit, insertion=insertion, physical=True, unphysical="", parameters=(), final=True)
+    return SimpleNamespace(
+        fit=fit, insertion=insertion, physical=True, unphysical="", refuted="", parameters=(), final=True
+    )
 
 
 def chosen(*tried: SimpleNamespace) -> list[str]:
@@ -48,7 +50,7 @@ def chosen(*tried: SimpleNamespace) -> list[str]:
     order = tuple(sorted(tried, key=lambda item: item.fit.criterion))
     trials = SimpleNamespace(
         round=lambda before: Round(before, order),
-        evidence=SimpleNamespace(refines_meshes=lambda document: False),
+        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
         counts={},
         nominal={},
         slack=0.0,
@@ -120,7 +122,7 @@ def test_meshes_may_be_wrong_by_a_tenth_of_the_equations():
         item = candidate("rub", 1000.0 - gain, 1)
         trials = SimpleNamespace(
             round=lambda before, item=item: Round(before, (item,)),
-            evidence=SimpleNamespace(refines_meshes=lambda document: True),
+            evidence=SimpleNamespace(refines_meshes=lambda document: True, with_drift=lambda: None),
             counts={},
             nominal={},
             slack=0.0,
@@ -147,7 +149,7 @@ def test_another_effect_must_explain_nine_tenths_of_what_is_left(second, goodnes
         item.fit = replace(item.fit, rows=ROWS, goodness=0.0 if item is first else goodness)
     trials = SimpleNamespace(
         round=lambda before: rounds.get(before.misfit, Round(before, ())),
-        evidence=SimpleNamespace(refines_meshes=lambda document: False),
+        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
         counts={},
         nominal={},
         slack=0.0,
@@ -185,7 +187,7 @@ def test_a_pair_of_which_one_hides_the_other_is_begun_anew_with_its_second():
 
     trials = SimpleNamespace(
         round=searched,
-        evidence=SimpleNamespace(refines_meshes=lambda document: False),
+        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
         counts={},
         nominal={},
         slack=0.0,
@@ -212,7 +214,7 @@ def test_several_effects_that_leave_noise_by_another_measure_of_it_are_not_searc
 
     trials = SimpleNamespace(
         round=searched,
-        evidence=SimpleNamespace(refines_meshes=lambda document: False),
+        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
         counts={},
         nominal={},
         slack=0.0,
@@ -256,7 +258,7 @@ def test_rivals_are_compared_with_what_was_found_beside_them_at_last():
 
     trials = SimpleNamespace(
         round=lambda before: Round(before, (gain,)),
-        evidence=SimpleNamespace(refines_meshes=lambda document: False),
+        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
         counts={},
         slack=0.0,
         completed=completed,
@@ -531,7 +533,7 @@ def test_before_another_effect_is_looked_for_nothing_is_left_out_that_promises_a
 
     trials = SimpleNamespace(
         round=lambda before: Round(before, (mode,), untried=((delay.insertion, ({}, [])),)),
-        evidence=SimpleNamespace(refines_meshes=lambda document: False),
+        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
         counts={},
         slack=0.0,
         completed=completed,

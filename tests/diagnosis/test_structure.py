@@ -126,6 +126,7 @@ def _models(draw: st.DrawFn) -> dict[str, str]:
     return {f"e{k}": " ".join(sorted(draw(some))) for k in range(draw(st.integers(1, 8)))}
 
 
+@pytest.mark.slow
 @settings(max_examples=75, deadline=None)
 @given(_models())
 def test_tests_are_the_circuits_of_a_generic_matrix(rows: dict[str, str]) -> None:

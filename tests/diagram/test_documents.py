@@ -26,6 +26,7 @@ JSON = st.recursive(
 KEYS = ["name", "blocks", "wires", "parameters", "layout", "record", "solver", "other"]
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None)
 @given(st.dictionaries(st.sampled_from(KEYS), JSON, max_size=6))
 def test_the_canonical_form_keeps_the_meaning_and_is_its_own_canonical_form(data):

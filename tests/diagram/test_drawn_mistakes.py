@@ -187,6 +187,7 @@ def test_what_must_be_given_is_asked_for() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_options_with_units_are_read_in_si_from_file_setting_and_parameter(tmp_path: Path) -> None:
     document = drawn(longest_element="$longest")
     document["parameters"] = {"longest": "25 mm"}

@@ -298,6 +298,7 @@ names = st.sampled_from(
 )
 
 
+@pytest.mark.slow
 @given(st.dictionaries(names, json_values, max_size=3))
 def test_whatever_is_written_is_read_or_refused(identify):
     data = json.loads(json.dumps(document(identify)))

@@ -189,6 +189,7 @@ def test_one_file_in_two_blocks_with_parameters_of_their_own(plants: Path, versi
         np.testing.assert_allclose(y, right, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("in_process", [True, False])
 def test_an_input_that_is_wired_does_not_begin_with_its_start_value(tmp_path: Path, in_process: bool) -> None:
     """u = 2 of a wire, 3 at the start: x'' = 2 - 100 x - x' / 2. y, said not to follow u, is asked for with u = 3."""
@@ -213,6 +214,7 @@ def test_in_this_process_instances_are_used_again(plants: Path, monkeypatch: pyt
     assert len(made) <= most + 1  # one more tells whether a reset is as good
 
 
+@pytest.mark.slow
 def test_an_input_that_is_taken_at_events_only_hides_the_equations(plants: Path) -> None:
     blocks = {"in": {"type": "constant", "parameters": {"value": 1.0}}}
     diagram = of_plant(plants, "2.0", blocks, [["in.output", "it.level"]])
@@ -319,6 +321,7 @@ def test_the_command_says_what_failed_and_where_the_rest_is(plants: Path, run: A
     assert len(np.loadtxt("it.csv", delimiter=",", skiprows=1)) == 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("here", [True, False])
 def test_the_equations_of_fmi_1(tmp_path: Path, here: bool) -> None:
     """x'' = -x: cos t, and a mode of 1 / (2 pi) Hz by central differences; ticks of a clock add up to a broken line."""

@@ -236,6 +236,7 @@ def test_completed_steps_are_told_from_c_as_from_python(
     assert counts[1] <= 4 * fast.counters["part_events"]  # of a run, and of its stretches that are repeated
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_a_step_is_told_once_however_late_the_answer_is(
     tmp_path: Path, version: str, monkeypatch: pytest.MonkeyPatch
@@ -276,6 +277,7 @@ def test_who_does_not_let_its_state_be_saved(tmp_path: Path) -> None:
     assert "step_error" not in found.counters
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_a_wall_of_the_plant_in_a_process_of_its_own(tmp_path: Path, version: str) -> None:
     """The same numbers as in this process."""
@@ -359,6 +361,7 @@ def test_the_command_says_what_the_coupling_costs(fmu: Make, run: Any) -> None:
     assert done.stderr.endswith("\n\nhint: a smaller --step, or 'rotorsim cosim' with another --master or --order\n")
 
 
+@pytest.mark.slow
 def test_a_recording_of_it_can_be_made(fmu: Make, run: Any) -> None:
     diagram = with_fmu(fmu, "rotor", interface="cs")
     Path("it.json").write_text(json.dumps(dict(diagram.document)))
@@ -389,6 +392,7 @@ def test_settled_motion_is_extrapolated(fmu: Make, block: str) -> None:
     assert 0.005 < told < 0.1
 
 
+@pytest.mark.slow
 def test_its_error_goes_with_the_step(fmu: Make) -> None:
     document = dict(with_fmu(fmu, "controller", interface="cs").document)
     told = [

@@ -357,6 +357,7 @@ def backwards(document: dict[str, Any]) -> None:
         run["speed"] = "-" + run["speed"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "change"),
     [

@@ -121,6 +121,7 @@ def test_without_a_compiler_the_numbers_are_the_same(diagram, runup, tmp_path):
     np.testing.assert_allclose(ends[1].jacobians[0][0], ends[0].jacobians[0][0], rtol=1e-7, atol=1e-18)
 
 
+@pytest.mark.slow
 def test_a_coast_down_in_rows_of_two_turns_with_gaps_peak_to_peak_and_lag(diagram, tmp_path):
     speed, time, vectors = passage(2000.0, -180.0, 2, rows=45, skip=1)
     folder = write(tmp_path / "down", speed, noisy(vectors, SIGMA), time=time, turns=2, words=("peak-peak", "lag"))
@@ -140,6 +141,7 @@ def test_nothing_is_missed_where_nothing_is_missing(diagram, runup, tmp_path, se
     assert max(off(result).values()) < 2.5
 
 
+@pytest.mark.slow
 def test_a_second_critical_speed_that_the_diagram_lacks_is_not_explained(diagram, runup, tmp_path):
     speed, _time, vectors = runup
     _, _, stiff = passage(1250.0, 230.0, 1, truth={**TRUTH, "rotor.stiffness": 31e3})

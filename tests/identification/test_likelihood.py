@@ -158,6 +158,7 @@ def test_means_that_were_taken_away_without_saying_so():
     assert not identify(shipped("jeffcott"), recorded(runs), profile=False).adequate
 
 
+@pytest.mark.slow
 def test_a_measured_input_need_not_be_explained():
     """The controller of the diagram is another one than that of the machine: the currents are taken as measured."""
     runs = [replace(run, settings={}) for run in two_gains("jeffcott", LOWER["jeffcott"][::4], level=1e-3)]
@@ -274,6 +275,7 @@ def test_many_channels_with_coloured_noise():
     assert chi2.ppf(LEVEL, found.rows) < found.misfit.sum() < chi2.isf(LEVEL, found.rows)
 
 
+@pytest.mark.slow
 def test_channels_that_cannot_move_do_not_count():
     """Pinned nodes, measured and predicted zero, add nothing to the misfit, nor to the degrees of freedom."""
     likelihood = likelihood_of("fe_rigid", recorded(made("fe_rigid", LOWER["fe_rigid"], level=0.01)))

@@ -83,6 +83,7 @@ def test_study_of_a_table_is_complete():
 # -- what the estimates must be ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_without_noise_the_parameters_come_back():
     """From rest: what the integrator has not settled yet is a drift that the fit takes out, not exactly."""
     found = run(study_of_table("2-5", noise=(0.0,)))
@@ -90,6 +91,7 @@ def test_without_noise_the_parameters_come_back():
     assert found.estimates[Case("", 0.0, 0.0)].shape == (1, 6)  # nothing differs from seed to seed
 
 
+@pytest.mark.slow
 def test_settled_motion_is_that_of_harmonic_balance():
     diagram = load("jeffcott")
     speed = 1500 * RPM

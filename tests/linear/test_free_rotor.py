@@ -62,6 +62,7 @@ def test_damping_changes_nothing() -> None:
     assert critical_speed_map(load(rotor), stiffness=[1e6]).speeds == pytest.approx(with_damping.speeds, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_many_elements_are_projected_on_few_modes(monkeypatch: pytest.MonkeyPatch) -> None:
     fine = load(uniform(40, 9, 9))
     k = [1e4, 1e6, 1e9]
@@ -150,6 +151,7 @@ def test_a_probe_beyond_a_node_of_the_first_mode(magnet: int, probe: int, told: 
     assert first.verdict == told
 
 
+@pytest.mark.slow
 def test_slopes_are_those_of_the_shape() -> None:
     shape = collocation(load(uniform(40, 9, 9)), highest=300.0).shapes[0]
     assert np.gradient(shape.shape, 1 / 40)[1:-1] == pytest.approx(shape.slope[1:-1], abs=0.02)

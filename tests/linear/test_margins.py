@@ -112,6 +112,7 @@ def test_a_delay_beyond_its_approximation_is_said():
     assert found.notes == ("'hold': its Pade approximation is off by more than 1 % above 393 Hz",)
 
 
+@pytest.mark.slow
 def test_a_crossing_beside_a_flexible_mode_is_found():
     """FAULT of an earlier version: |G_o| = 1 at 490 Hz, in a band of 1 Hz, was passed over."""
     axis = margins(load("two_amb_rotor")).axes[0]
@@ -181,6 +182,7 @@ def refused(*arguments, **parameters) -> str:
     return str(caught.value)
 
 
+@pytest.mark.slow
 def test_ports_outside_a_loop_and_unknown_ones_are_refused_all_at_once():
     diagram = load("jeffcott")
     assert refused(diagram, "unbalance.force").splitlines()[0] == (

@@ -158,6 +158,7 @@ def coarse(frequency, levels, noise, second, phase, offset, seed):
     return np.round(values + np.random.default_rng(seed).normal(0, 1, 5000) * noise)
 
 
+@pytest.mark.slow
 @settings(max_examples=120, deadline=None)
 @given(signals)
 def test_coarse_resolution_is_neither_clipping_nor_a_stuck_converter(signal):

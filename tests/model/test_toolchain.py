@@ -99,6 +99,7 @@ def last(**options):
     return result["position.output"][-1], result.provenance["path"].rpartition(", ")[2]
 
 
+@pytest.mark.slow
 def test_a_damaged_library_is_compiled_again(fresh_cache):
     """Cut short (a disk that was full), one bit flipped (a failing disk), and empty (a power cut)."""
     value, path = last()
@@ -161,6 +162,7 @@ def test_a_library_that_others_could_have_written_is_not_loaded(fresh_cache, mon
         assert last()[1] == "compiled now)"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="modes of POSIX")
 def test_a_cache_that_others_can_write_to_is_not_used(fresh_cache, monkeypatch, tmp_path):
     fresh_cache.mkdir()

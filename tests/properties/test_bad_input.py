@@ -156,6 +156,7 @@ def check(error: RotorsimError, file: str) -> None:
         assert problem.hint, problem
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(damaged())
 def test_damaged_diagrams_are_loaded_or_refused_with_place_and_hint(text):
@@ -183,6 +184,7 @@ def odd_block(draw: Any) -> str:
     return json.dumps({"blocks": blocks, "wires": wires}, indent=1)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(odd_block())
 def test_odd_values_of_any_block_are_taken_or_refused_with_place_and_hint(text):

@@ -461,6 +461,7 @@ KEY = st.sampled_from([*RECORDING_KEYS["recording"], *RECORDING_KEYS["channel"],
 ANYTHING = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(KEY, inner, max_size=5))
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(ANYTHING, st.sampled_from(["recording", "channel", "run"]), st.data())
 def test_damaged_documents_end_with_a_message_and_never_with_a_traceback(value, part, choice):

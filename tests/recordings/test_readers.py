@@ -58,6 +58,7 @@ def test_empty_and_damaged_files_end_with_a_message(tmp_path, ending):
         assert len(refused(path, ["x"])) == 1
 
 
+@pytest.mark.slow
 @formats()
 def test_a_file_that_was_cut_off_is_refused_or_has_the_first_samples(tmp_path, name, capfd):
     """Never others; without a sample count in the format the rest cannot be missed."""

@@ -52,6 +52,7 @@ def as_in_diagram(parameters: dict[str, float], plant: Plant, run: Run) -> dict[
 
 
 # beams of 5 mm: the diagram's M^-1 K is rounded to 2e-16 (w_max / W)^2 = 5e-6 of W^2, w_max^2 = 2e15 / s^2
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("machine", "parts", "tolerance"),
     [("fe_flexible", 3, 1e-9), ("two_amb_rotor", 1, 1e-8), ("two_amb_rotor", 3, 5e-6)],
@@ -117,6 +118,7 @@ def test_a_row_of_a_bearing_is_that_of_the_bearing_at_its_node(name: str, node: 
         assert [len(bearing.path.poles) for bearing in plant.bearings] == [0, 8]
 
 
+@pytest.mark.slow
 def test_recordings_have_both_controllers(tmp_path: Path) -> None:
     write_case(generator.make_case("c", "nothing", "two_amb_rotor", (1, 0), 0), tmp_path, (1, 0))
     recording = load_recording(tmp_path / "c")
@@ -159,6 +161,7 @@ def test_condensed_motion_is_the_settled_motion_at_other_parameters(machine: str
     assert (np.abs(condensed[..., -1]) / scale[..., 0]).max() < 1e-12  # the mean has come to rest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("machine", "name"), [("fe_flexible", "force_displacement_factor"), ("two_amb_rotor", "force_current_factor_b")]
 )

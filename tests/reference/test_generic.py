@@ -330,6 +330,7 @@ def test_same_seed_writes_the_same_bytes_and_a_whole_truth(tmp_path: Path, kind:
     assert ("outside_catalogue" in truth["effects"][0]["also_called"]) == (kind == "outside")
 
 
+@pytest.mark.slow
 def test_recordings_are_read(tmp_path: Path) -> None:
     from rotorsim.recordings.loading import load_recording
 

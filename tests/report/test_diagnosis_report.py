@@ -217,6 +217,7 @@ def held_runs(found: Diagnosis) -> Comparison:
     return held
 
 
+@pytest.mark.slow
 def test_the_residual_is_noise_after_and_not_before() -> None:
     """In units of the noise the squares have a mean of one: of N harmonics the mean of them scatters by sqrt(1 / N)."""
     both = fitted_runs(bowed())
@@ -432,6 +433,7 @@ def test_a_diagnosis_by_resonances_says_that_it_draws_nothing(monkeypatch):
         bowed().plot()
 
 
+@pytest.mark.slow
 def test_a_diagnosis_is_drawn_over_speed():
     assert bowed().plot().get_suptitle() == "Main harmonics of rotor.displacement over speed, hold-out runs"
 

@@ -257,6 +257,7 @@ def test_a_file_that_is_cut_off_or_damaged_ends_in_words(cut: int, read: Import)
         assert ends_in_words(read, damaged)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [None, True, "x", [], [[1.0]], {}, {"a": 1}, 1e400, -1, 10**400])
 def test_wrong_values_anywhere_end_in_words(value: Any, read: Import) -> None:
     elements = tables(stepped(), DISC, PLAIN, point(6, mx=1.0, my=1.0))

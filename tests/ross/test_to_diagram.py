@@ -151,6 +151,7 @@ def test_ross_1_and_2_and_json_give_the_same_diagram(read: Import) -> None:
         assert {**other.document, "description": ""} == {**new, "description": ""}
 
 
+@pytest.mark.slow
 def test_a_step_is_stable_for_the_stiffest_mode(read: Import) -> None:
     done = read(toml(ROTORS["stepped"]))
     solver = done.document["solver"]

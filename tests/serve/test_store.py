@@ -402,6 +402,7 @@ def everything(path: Path, seed: int, steps: int) -> None:
             path.write_text(last_good)  # whoever has made the mistake takes it back
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32))
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 def test_no_edit_is_lost_and_the_file_is_canonical_or_as_it_was_left(mine: Path, seed: int) -> None:

@@ -49,6 +49,7 @@ def test_the_largest_stable_step_is_that_of_the_stability_function():
     assert largest_stable_step(np.array([1j - 1e-9])) == pytest.approx(np.sqrt(8), rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["rk4", "dop853", "bdf"])
 def test_an_interrupted_run_keeps_what_was_computed(method):
     def interrupt(fraction: float) -> None:
@@ -100,6 +101,7 @@ def bouncing(law: str) -> dict:
     )
 
 
+@pytest.mark.slow
 def test_events_are_located_so_that_a_bouncing_mass_keeps_its_energy():
     result = simulate(load(bouncing("")), method="dop853", step=1e-3, stop=2.0)
     x, v, c = (result[f"{name}.output"] for name in ("position", "velocity", "contact"))
@@ -176,6 +178,7 @@ def test_an_algebraic_loop_without_a_solution_is_said():
     assert list(result.signals) == ["y.output"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["dop853", "rk45", "radau", "bdf", "lsoda"])
 def test_a_sweep_that_begins_while_all_is_at_rest_is_not_stepped_over(method: str) -> None:
     """FAULT of an earlier version: y' = sweep of 0.5 to 1.5 s was 0 with lsoda. Linear: y = int sin(a t + b t^2)."""

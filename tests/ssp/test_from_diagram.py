@@ -52,6 +52,7 @@ def with_values(file: Path, target: Path, member: str, old: str, new: str) -> Pa
     return target
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_files_are_valid_by_the_schema(jeffcott: ExportedSsp) -> None:
     described = etree.XMLSchema(etree.parse(str(SCHEMA / "SystemStructureDescription.xsd")))
@@ -224,6 +225,7 @@ def test_parts_that_do_not_fit(tmp_path: Path, parts: dict[str, list[str]], what
 # ---- command line ----
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_command_line(run: Any, tmp_path: Path) -> None:
     out = run("ssp", "export", "jeffcott", "--part", "controller=controller", "-o", "j.ssp")

@@ -99,6 +99,11 @@ class Insertion:
         return tuple(f"{self.name}.{key}" for key in self.fault.free)
 
     @property
+    def grows(self) -> bool:
+        """Whether it has a state that starts with every run, however long the machine has turned."""
+        return any(state.fresh for state in self.kind.states.values())
+
+    @property
     def finer(self) -> Insertion:
         """The same with a finer approximation of its law, if it has one."""
         return replace(self, values={**self.values, **self.fault.finer})

@@ -56,7 +56,8 @@ def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
     weights = {name: float(np.exp(-0.5 * value)) for name, value in best.items() if value <= CRITERIA.equivalent}
     total = sum(weights.values())
     members = {name: weight / total for name, weight in sorted(weights.items(), key=lambda pair: -pair[1])}
-    same = [candidate, *(item for item in found.tried if item.insertion.physics in members)]  # it is there, if all fail
+    alike = (item for item in found.tried if item.insertion.physics in members or item.refuted)  # which says no place
+    same = [candidate, *alike]  # it is there, if all fail
     places = tuple(one for one in likely_places(same, scale) if one.probability >= CRITERIA.listed)
     rivals: dict[str, Candidate] = {}
     for item in possible:

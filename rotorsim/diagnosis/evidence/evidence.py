@@ -245,6 +245,9 @@ class Evidence(Protocol):
     def sharpened(self, fit: Fit, chosen: Sequence[Insertion]) -> tuple[Evidence, Fit]:
         """Return a fit with finer approximations of laws that follow the rate of samples, and the evidence for it."""
 
+    def with_drift(self) -> Evidence | None:
+        """Return the evidence with how 1X drifts within the runs, None where it is not asked, or in it already."""
+
     def separation(self, first: Fit, second: Fit) -> Change | None:
         """Return the further run that separates two hypotheses most; None if none does, or none was searched."""
 
@@ -337,6 +340,10 @@ class Defaults:
     def sharpened(self, fit: Fit, chosen: Sequence[Insertion]) -> tuple[Self, Fit]:
         """Return the fit: no law follows the rate of samples."""
         return self, fit
+
+    def with_drift(self) -> Evidence | None:
+        """Return None: samples in time hold it, orders do not."""
+        return None
 
     def separation(self, first: Fit, second: Fit) -> Change | None:
         """Return None: no further runs were searched."""

@@ -24,7 +24,7 @@ class Candidate:
     """An insertion and the refitted diagram with it.
 
     astray: parameters of the diagram that have left all reason. final: whether the fit was carried to the end. needed:
-    whether the diagram was refitted without it from there, and explains less.
+    whether the diagram was refitted without it from there, and explains less. refuted: by what, beside the misfit.
     """
 
     insertion: Insertion
@@ -32,6 +32,7 @@ class Candidate:
     astray: str = ""
     final: bool = True
     needed: bool = False
+    refuted: str = ""
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -55,11 +56,13 @@ class Candidate:
 
         A parameter of the fault ended at a bound; none of its sizes differs significantly from zero (their 90 %
         intervals hold it, were the rest of its law known), unless it is needed; its 90 % interval holds a simpler law;
-        or it needs a parameter of the diagram far beyond all reason, as one that cancels the effect is.
+        it needs a parameter of the diagram far beyond all reason, as one that cancels the effect is; or it is refuted.
         """
         fit = self.fit
         if fit.failure:
             return ""
+        if self.refuted:
+            return self.refuted
         if self.ended:
             return f"its {', '.join(name.rpartition('.')[2] for name in self.ended)} ended at a physical bound"
         names = [item.name for item in fit.free]

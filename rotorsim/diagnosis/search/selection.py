@@ -16,6 +16,7 @@ from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_noise
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import SAME, Candidate, Round
+from rotorsim.diagnosis.search.growing import told_by_drift
 from rotorsim.diagnosis.search.idle import nested, simplified, without_idle
 from rotorsim.diagnosis.search.promises import level_of, noticed_from
 from rotorsim.diagnosis.search.trials import Trials
@@ -131,6 +132,7 @@ def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Se
         chosen, rounds = _completed(trials, base, chosen, rounds)
         chosen, rounds = _narrowed(trials, base, chosen, rounds)
         chosen = _simplified(trials, chosen)
+        chosen, rounds = told_by_drift(trials.evidence, chosen, rounds, slack)
         first = next((found for found in rounds if found.before is base), first)  # with what was looked at since
     return Selection(base, chosen, tuple(rounds), chosen[-1].fit, level, trials.counts, slack, first)
 

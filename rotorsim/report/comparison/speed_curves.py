@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -107,15 +106,8 @@ def _moved(runs: PredictedRuns, r: int, p: np.ndarray, speeds: np.ndarray, K: in
     """Return harmonics of time (n, K+1, c) at speeds, from the nearest run with the settings of r; nan if unstable."""
     base = runs.experiment.motion
     beside = None if base.beside is None else base.beside.at(speeds)
-    motion = replace(
-        base,
-        p=p,
-        speeds=speeds,
-        K=K if beside is None else beside.K,  # of asynchronous forces alone, all orders at once
-        windows=np.full(len(speeds), base.windows[r]),
-        phase=np.full(len(speeds), base.phase[r]),
-        beside=beside,
-    )
+    K_there = K if beside is None else beside.K  # of asynchronous forces alone, all orders at once
+    motion = base.elsewhere(p, speeds, K_there, r, beside)
     members = np.array(runs.groups[runs.group_of(r)])
     motion.begin_from(base, members[np.argmin(np.abs(runs.speeds[members][:, None] - speeds), axis=0)], runs.theta)
     Y: np.ndarray = motion.predict(runs.theta).Y[:, : K + 1]

@@ -66,7 +66,7 @@ def test_what_is_known_beforehand_holds_a_parameter_that_no_run_shows():
 
 def fitted_runs(residual: np.ndarray, slopes: np.ndarray, sizes: list[int], nuisances: int = 0) -> SimpleNamespace:
     found = prediction(residual, slopes)
-    found.likelihood = SimpleNamespace(whiteners=[SimpleNamespace(keep=np.arange(size)) for size in sizes])
+    found.likelihood = SimpleNamespace(sizes=sizes)
     found.evaluation.rows = len(residual) - nuisances
     found.experiment.theta0 = np.zeros(slopes.shape[1])
     for item in found.experiment.free:

@@ -34,6 +34,7 @@ def stepped(file: Path, diagram: Diagram, kind: str = "CoSimulation", **more: An
     return fmpy.simulate_fmu(str(file), fmi_type=kind, **told)
 
 
+@pytest.mark.slow
 @pairs(("3.0", "2.0"))
 def test_a_controller_is_stepped_as_run_does_it(fmu: Make, tmp_path: Path, inner: str, outer: str) -> None:
     """Gauss-Seidel with held inputs, the rest first: the same numbers; Model Exchange: as exact as its solver."""
@@ -64,6 +65,7 @@ def falls(diagram: Diagram, plain: Diagram, folder: Path, part: int) -> tuple[fl
     return found[0], [found[0] / found[1], found[1] / found[2]]
 
 
+@pytest.mark.slow
 def test_a_rotor_that_is_fed_what_follows_it_at_once_is_a_step_late(fmu: Make, tmp_path: Path) -> None:
     """Of first order: half the step, half the error, which is below that which `run` tells."""
     diagram = with_fmu(fmu, "rotor", interface="cs")
@@ -72,6 +74,7 @@ def test_a_rotor_that_is_fed_what_follows_it_at_once_is_a_step_late(fmu: Make, t
     assert ratios == pytest.approx([2, 2], abs=0.25)
 
 
+@pytest.mark.slow
 def test_its_parameters_are_those_of_the_outer_one_until_it_has_begun(fmu: Make, tmp_path: Path) -> None:
     diagram = with_fmu(fmu, "controller", interface="cs")
     file = exported(diagram, tmp_path / "loop.fmu")
@@ -83,6 +86,7 @@ def test_its_parameters_are_those_of_the_outer_one_until_it_has_begun(fmu: Make,
     assert (step.name, float(step.min), float(step.max)) == ("controller.communication_step", h, h)
 
 
+@pytest.mark.slow
 def test_hits_of_other_blocks_are_no_steps_of_it(fmu: Make, tmp_path: Path) -> None:
     """A controller that samples at one and a half steps beside a rotor that steps: of first order as well.
 
@@ -119,6 +123,7 @@ def test_values_are_in_the_units_of_the_fmu(tmp_path: Path) -> None:
     assert made["it.y"].tolist() == pytest.approx([6e6] * 6)
 
 
+@pytest.mark.slow
 def test_two_exports_of_one_file_have_tables_of_their_own(tmp_path: Path) -> None:
     """One variable inside more is recorded: the time of the last step."""
     file = gauge_fmu(tmp_path, description(real=True))

@@ -143,6 +143,7 @@ def test_what_offers_nothing() -> None:
     assert "a document type (<!DOCTYPE ...>) is not allowed" in mistakes(doctype)[0]
 
 
+@pytest.mark.slow
 def test_info_and_validate(tmp_path: Path, run: Run) -> None:
     file = lag_fmu(tmp_path)
     told = information(describe_fmu(file))
@@ -179,6 +180,7 @@ def test_negated_aliases_have_the_other_sign(tmp_path: Path, here: bool) -> None
     assert (found["it.closed"] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_both_places_agree_to_the_last_bit_and_so_does_the_command_line(tmp_path: Path, run: Run) -> None:
     file = lag_fmu(tmp_path)
     here, apart = (cosimulate_diagram(with_lag(file, in_process=one), step=H) for one in HERE)

@@ -67,6 +67,7 @@ def run_faulty(path: Path, fault: str, *, timeout: float = 20.0, memory: int = 1
     return slave
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize(
     ("fault", "kind", "what"),

@@ -253,6 +253,7 @@ def test_messages_that_are_lost_are_counted(file: Path) -> None:
     assert heard[500] == heard[1501] == ("Warning", "200 more messages came at once and are lost")
 
 
+@pytest.mark.slow
 def test_what_it_prints_does_not_break_json(tmp_path: Path, file: Path) -> None:
     """In the process of the command it prints past Python, to the descriptor itself."""
     verb = ["cosim", "--trust-blocks", written(tmp_path, file, talk=1), "--step", "0.1 s", "--json"]

@@ -48,6 +48,7 @@ def check(axis: MeasuredAxis, k: int) -> None:
     assert (np.abs(axis.sensitivity - true)[there] < 4.5 * axis.std[there]).mean() > 0.998
 
 
+@pytest.mark.slow
 def test_a_sweep_of_each_axis_shows_the_sensitivity(tmp_path):
     (found,) = told(tmp_path / "r", sweeps())
     for k, axis in enumerate(found.axes):
@@ -58,6 +59,7 @@ def test_a_sweep_of_each_axis_shows_the_sensitivity(tmp_path):
     assert [axis.name for axis in found.axes] == ["controller.displacement[1]", "controller.displacement[2]"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("roles", [("before", "after"), ("test", "after"), ("test", "before")])
 def test_any_two_of_the_signals_are_enough_where_they_are_as_the_controller_has_them(tmp_path, roles):
     (found,) = told(tmp_path / "r", {"x": run(one_axis(chirp(TIME, 5, 2200)))}, roles=roles)
@@ -84,6 +86,7 @@ def test_both_axes_at_once_give_the_matrix_and_its_largest_singular_value(tmp_pa
     assert np.nanmax(found.singular) == pytest.approx(np.linalg.norm(TRUTH, 2, axis=(1, 2)).max(), rel=0.01)
 
 
+@pytest.mark.slow
 def test_phase_delay_and_gain_margins_have_intervals_that_hold_the_truth(tmp_path):
     machine = Machine(delay=3e-4, kd=6.0)
     (found,) = told(tmp_path / "r", {"x": run(one_axis(chirp(TIME, 5, 2200)), machine=machine)})
@@ -106,6 +109,7 @@ def test_phase_delay_and_gain_margins_have_intervals_that_hold_the_truth(tmp_pat
         assert abs(getattr(axis.best, name) - value) < 2 * half  # 3.3 standard deviations
 
 
+@pytest.mark.slow
 def test_unbalance_and_hum_are_no_response(tmp_path):
     orbit = 2e-5 * np.exp(2j * np.pi * 131.3 * TIME) + 1e-6 * np.exp(2j * np.pi * 50.02 * TIME)
     motion = np.stack([orbit.real, orbit.imag], axis=1)
@@ -115,6 +119,7 @@ def test_unbalance_and_hum_are_no_response(tmp_path):
     assert found.notes == ("x: steady lines that the test signal does not make, taken out: 131.3, 50.02 Hz",)
 
 
+@pytest.mark.slow
 def test_the_orders_of_a_shaft_that_drifts_are_taken_out_by_its_pulses(tmp_path):
     theta = 2 * np.pi * (131 * TIME + 0.02 * TIME**2)
     motion = 2e-5 * np.stack([np.cos(theta), np.sin(theta)], axis=1)
@@ -126,6 +131,7 @@ def test_the_orders_of_a_shaft_that_drifts_are_taken_out_by_its_pulses(tmp_path)
     assert found.speed == pytest.approx(2 * np.pi * 131.24, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_nothing_is_told_of_frequencies_that_were_not_injected(tmp_path):
     (found,) = told(tmp_path / "r", {"x": run(one_axis(chirp(TIME, 50, 500)))})
     (axis,) = found.axes
@@ -136,6 +142,7 @@ def test_nothing_is_told_of_frequencies_that_were_not_injected(tmp_path):
     check(axis, 0)
 
 
+@pytest.mark.slow
 def test_a_narrow_peak_asks_for_a_longer_record(tmp_path):
     machine = Machine(damping=30.0, kd=0.3, delay=0.0, lag=0.0, gyroscopic=0.0)
     (found,) = told(tmp_path / "r", {"x": run(one_axis(chirp(TIME, 5, 2200)), machine=machine)})
@@ -184,6 +191,7 @@ def test_runs_of_one_axis_together_have_smaller_intervals(tmp_path):
     assert four.axes[0].best.peak == pytest.approx(np.abs(TRUTH[:, 0, 0]).max(), rel=0.02)
 
 
+@pytest.mark.slow
 def test_scale_of_the_test_signal_cancels_and_is_said(tmp_path):
     signals = run(one_axis(chirp(TIME, 5, 2200)))
     (found,) = told(tmp_path / "r", {"x": {**signals, "test": signals["test"] / 2}})
@@ -194,6 +202,7 @@ def test_scale_of_the_test_signal_cancels_and_is_said(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_delay_of_the_test_signal_cancels_and_is_said(tmp_path):
     signals = run(one_axis(chirp(TIME, 5, 2200)))
     (found,) = told(tmp_path / "r", {"x": {**signals, "test": np.roll(signals["test"], 1, axis=0)}})
@@ -204,6 +213,7 @@ def test_a_delay_of_the_test_signal_cancels_and_is_said(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_signal_that_is_not_sampled_at_once_is_said_and_in_the_interval(tmp_path):
     """FAULT of an earlier version: one sample between two channels made 2.86 a sure 3.63."""
     signals = run(one_axis(chirp(TIME, 5, 2200)))
@@ -235,6 +245,7 @@ def test_two_signals_that_are_exchanged_leave_the_zone_open(tmp_path):
         (tmp_path / roles[0] / "recording.json").unlink()
 
 
+@pytest.mark.slow
 def test_runs_that_contradict_each_other_are_said_and_in_the_interval(tmp_path):
     """FAULT of an earlier version: runs in zones A and C were a sure zone B."""
     other = Machine(kd=3.5)
@@ -249,6 +260,7 @@ def test_runs_that_contradict_each_other_are_said_and_in_the_interval(tmp_path):
     assert low < np.abs(TRUTH[:, 0, 0]).max() < np.abs(other.sensitivity(HZ)[:, 0, 0]).max() < high
 
 
+@pytest.mark.slow
 def test_unbalance_that_wanders_is_no_peak(tmp_path):
     """FAULT of an earlier version: 5 um at 131 Hz +- 0.1 Hz made a sure 16."""
     theta = 2 * np.pi * (131 * TIME + 0.1 * np.sin(2 * np.pi * 0.3 * TIME) / (2 * np.pi * 0.3))
@@ -260,6 +272,7 @@ def test_unbalance_that_wanders_is_no_peak(tmp_path):
     assert axis.best.peak < 1.1 * np.abs(TRUTH[:, 0, 0]).max()
 
 
+@pytest.mark.slow
 def test_the_zone_of_a_machine_is_that_of_any_axis_that_may_be_worst(tmp_path):
     """FAULT of an earlier version: an axis whose interval was open did not count where its estimate was not largest."""
     (found,) = told(tmp_path / "r", {"x": run(one_axis(chirp(TIME, 5, 2200)))})
@@ -285,6 +298,7 @@ def refused(folder, runs, **more):
     return str(caught.value)
 
 
+@pytest.mark.slow
 def test_signals_that_are_exchanged_are_refused(tmp_path):
     signals = run(one_axis(chirp(TIME, 5, 2200)))
     exchanged = {"test": signals["test"], "before": signals["after"], "after": signals["before"]}
@@ -308,6 +322,7 @@ def test_runs_that_tell_nothing_are_refused_all_at_once(tmp_path):
     assert place in text
 
 
+@pytest.mark.slow
 def test_nothing_but_noise_is_no_measurement(tmp_path):
     random = np.random.default_rng(5)
     noise = {role: 1e-6 * random.standard_normal((len(TIME), 2)) for role in ("test", "before", "after")}
@@ -324,6 +339,7 @@ def test_test_signals_that_depend_on_each_other_are_refused(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_unit_that_is_wrong_leaves_the_zone_open(tmp_path):
     """FAULT of an earlier version: mm for um was a sure zone A, with a peak of 0.099."""
     signals = run(one_axis(chirp(TIME, 5, 2200)))

@@ -64,6 +64,7 @@ def test_what_was_not_kept_is_said(few: Ensemble) -> None:
         assert str(error.value).splitlines()[0] == said
 
 
+@pytest.mark.slow
 def test_workers_give_the_same_and_a_store_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rotorsim.simulation.ensemble.many.STEPS_OF_A_JOB", 1.0)
     monkeypatch.setattr("rotorsim.simulation.ensemble.many.STEPS_HERE", 0.0)

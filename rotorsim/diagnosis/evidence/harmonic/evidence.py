@@ -76,6 +76,10 @@ class HarmonicEvidence(HarmonicRuns, Validated):
         """Return the speed or gain that separates two hypotheses most; see `best_change`."""
         return best_change(first, second, self)
 
+    def with_drift(self) -> HarmonicEvidence:
+        """Return the evidence with how 1X drifts within the runs."""
+        return replace(self, drifting=True)
+
     def unknown_force(self, document: Mapping[str, Any], spot: Spot) -> Unknown:
         """Return orders, exponents, work and lines of the force that explains the residual best."""
         return unknown_force(document, self, spot)

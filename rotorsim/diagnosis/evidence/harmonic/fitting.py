@@ -56,10 +56,10 @@ def fit_document(
         nonlinear = not experiment.motion.is_linear
         if nonlinear and linear_only:
             return Fit(document, failure=DEFERRED, nonlinear=True, seconds=process_time() - began)
-        search = Search(Likelihood(experiment))
+        search = Search(runs.likelihood(experiment))
         best = _best(search, experiment, starts, most, beyond)
         if nonlinear and most is None and EXPLAINS < best.misfit / max(best.evaluation.rows, 1) < CORNERS:
-            best = _sharpened(search, best)
+            best = _sharpened(search, best, runs)
     except FAILURES as error:
         return failed_fit(document, error, nonlinear=nonlinear, seconds=process_time() - began)
     seconds = process_time() - began
@@ -87,7 +87,7 @@ def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:
     if not np.isfinite(best.misfit):
         return Fit(document, failure="no periodic motion was found")
     assert isinstance(search.likelihood, Likelihood)
-    sizes = [len(w.keep) for w in search.likelihood.whiteners]
+    sizes = search.likelihood.sizes
     lines = np.tile(search.likelihood.is_beside, len(sizes))
     q = search.coordinates.inside(best.theta)
     covariance = best.covariance.copy()
@@ -174,10 +174,10 @@ def _best(search: Search, experiment: Experiment, starts: Starts, most: int | No
     return summary(search, best)
 
 
-def _sharpened(search: Search, best: Estimate) -> Estimate:
+def _sharpened(search: Search, best: Estimate, runs: HarmonicRuns) -> Estimate:
     """Return a fit carried on with more orders: the residual may be theirs, where a law has corners."""
     search.likelihood.experiment.motion.sharpen()
-    again = search.again(Likelihood(search.likelihood.experiment))
+    again = search.again(runs.likelihood(search.likelihood.experiment))
     q = again.coordinates.inside(best.theta)
     if not np.isfinite(again.residual(q)).all():
         return best

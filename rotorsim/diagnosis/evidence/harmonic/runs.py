@@ -11,7 +11,9 @@ import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import LEAST, LINES, LONGEST, RATE
 from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.identification.drifting import DriftingLikelihood
 from rotorsim.identification.experiment import RESOLUTION, Experiment, open_experiment
+from rotorsim.identification.likelihood import Likelihood
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.asynchronous import Asynchronous
@@ -28,7 +30,7 @@ class HarmonicRuns:
 
     second: the asynchronous frequency with which the harmonics were fitted. standing: nuisance parameters of the
     diagram as given (see `Fit.criterion`); given: its free parameters, whose sizes and priors hold in every later fit,
-    whatever value that begins from.
+    whatever value that begins from. drifting: whether fits are to the drift of 1X within the runs, too.
     """
 
     recording: Recording
@@ -38,6 +40,7 @@ class HarmonicRuns:
     second: Asynchronous | None = None
     standing: int | None = None
     given: tuple[Free, ...] = ()
+    drifting: bool = False
 
     def load(self, document: Mapping[str, Any]) -> Diagram:
         """Return the diagram of a document. Raises RotorsimError."""
@@ -55,6 +58,10 @@ class HarmonicRuns:
             resolution=MESH_ACCURACY if has_mesh(diagram) else RESOLUTION,
             free=[self._as_given(item) for item in diagram.free],
         )
+
+    def likelihood(self, experiment: Experiment) -> Likelihood:
+        """Return the likelihood of an experiment that is fitted."""
+        return DriftingLikelihood(experiment) if self.drifting else Likelihood(experiment)
 
     def _as_given(self, item: Free) -> Free:
         """Return a free parameter with size and prior of the diagram as given, not of the fit that it starts from."""

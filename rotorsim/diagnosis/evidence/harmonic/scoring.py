@@ -129,7 +129,7 @@ def _known(fitted: Prediction) -> np.ndarray:
 
 def _misfits(fitted: Prediction, part: Prediction) -> list[tuple[float, float]]:
     """Return the surprise and the equations of each held-out run by itself."""
-    S, sizes = _known(fitted), [len(white.keep) for white in part.likelihood.whiteners]
+    S, sizes = _known(fitted), part.likelihood.sizes
     lost = (sum(sizes) - part.evaluation.rows) / len(sizes)  # nuisances of a run
     out, at = [], 0
     for size in sizes:
@@ -145,7 +145,7 @@ def standardised(fitted: Prediction) -> tuple[tuple[float, float], ...] | None:
 
     See `left_out.standardised`; None where a run has no settled motion.
     """
-    sizes = [len(white.keep) for white in fitted.likelihood.whiteners]
+    sizes = fitted.likelihood.sizes
     S, residual = _known(fitted), fitted.evaluation.residual
     if not (np.isfinite(S).all() and np.isfinite(residual).all()):
         return None
