@@ -381,6 +381,7 @@ def test_the_worst_of_all_required_criteria_is_the_verdict() -> None:
     assert verdict() == "not judged"
 
 
+@pytest.mark.slow
 def test_a_critical_speed_whose_upper_half_power_speed_is_beyond_the_range() -> None:
     """It is there all the same: as wide above as below."""
     given = {"operating": (300.0, 500.0), "trip": W0 / 1.47}

@@ -220,6 +220,7 @@ def test_it_is_a_pid_in_each_bearing_where_probes_and_magnets_are_at_equal_dista
     assert not growing(both[0])
 
 
+@pytest.mark.slow
 def test_its_loops_have_margins() -> None:
     found = margins(load(rigid("modal", probes=(2, 4))))
     assert [axis.name for axis in found.axes] == [
@@ -249,6 +250,7 @@ def test_a_block_taken_out_leaves_its_part_of_an_input_at_zero() -> None:
     np.testing.assert_array_equal(*(linearise(one, inputs=(), outputs=()).A for one in (dead, cut)))
 
 
+@pytest.mark.slow
 def test_a_test_signal_is_added_to_an_input_that_is_wired_by_parts() -> None:
     """FAULT of an earlier version: refused."""
     machine = load(rigid("modal", probes=(2, 4)))

@@ -55,6 +55,7 @@ def test_natural_frequencies_at_3000_rpm_are_the_published_ones():
     assert [f"{x:.6g}" for x in found] == ["54.1532", "54.4399", "312.997", "364.277"]
 
 
+@pytest.mark.slow
 def test_a_pinned_shaft_has_the_frequencies_of_the_euler_bernoulli_beam():
     block = rotor(40, {"disc_mass": 0.0, "disc_polar_inertia": 0.0, "disc_diametral_inertia": 0.0})
     k = np.arange(1, 5)
@@ -208,6 +209,7 @@ def test_the_shear_coefficient_is_cowpers():
     assert _beam.shear_coefficient(0.3, 1 - 1e-9, 1.0) == pytest.approx(0.531, abs=1e-3)  # thin tube
 
 
+@pytest.mark.slow
 def test_operations_grow_linearly_with_elements():
     counts = [rotor(n).trace.function("derivatives", ("position", "velocity")).n_instructions() for n in (10, 20, 40)]
     assert counts[2] - counts[1] == pytest.approx(2 * (counts[1] - counts[0]), rel=0.01)

@@ -46,6 +46,7 @@ def play_operator(u: np.ndarray, width: float) -> np.ndarray:
     return np.array(out)
 
 
+@pytest.mark.slow
 @given(width=st.floats(0.05, 1.5), seed=st.integers(0, 1000))
 @settings(max_examples=5, deadline=None)
 def test_play_is_the_play_operator_but_for_its_lag(width: float, seed: int) -> None:
@@ -99,6 +100,7 @@ def test_hysteresis_is_a_share_of_play() -> None:
 # --- integrator with limits -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_limited_integrator_stops_and_leaves_its_limit_at_once() -> None:
     """Input 2 up to t = 1, then -1: 2 t up to the limit 0.8, and 0.8 - (t - 1 - d) after it; d <= 2 time constants."""
     T = 2e-3
@@ -160,6 +162,7 @@ def test_loops_do_not_depend_on_how_fast_the_input_moves(rate: float) -> None:
         assert fast == pytest.approx(10 * slow, rel=1e-12)
 
 
+@pytest.mark.slow
 @given(shape=st.floats(0.01, 1), exponent=st.floats(1, 6), knee=st.floats(0.2, 2))
 @settings(max_examples=8, deadline=None)
 def test_the_hysteretic_part_stays_between_its_limits_and_loses_energy(shape, exponent, knee) -> None:

@@ -46,6 +46,7 @@ def machine(**options):
 # --- natural frequencies ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_free_stepped_hollow_shaft_with_discs_has_the_frequencies_of_transfer_matrices():
     exactly = exact().frequencies(100.0, 1500.0)
     assert len(exactly) == 4
@@ -56,6 +57,7 @@ def test_a_free_stepped_hollow_shaft_with_discs_has_the_frequencies_of_transfer_
     assert errors[0].max() < 2e-3  # the mesh that it makes by itself
 
 
+@pytest.mark.slow
 def test_gyroscopic_moments_of_shaft_and_discs_split_them_as_transfer_matrices_do():
     speed = 9000 * np.pi / 30
     both = np.sort(np.concatenate([exact().frequencies(100, 1300, w) for w in (speed, -speed)]))

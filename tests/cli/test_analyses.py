@@ -125,6 +125,7 @@ def test_wrong_speeds(text: str, what: str) -> None:
     assert caught.value.problems[0].what == what
 
 
+@pytest.mark.slow
 def test_what_is_unstable_is_marked(run) -> None:
     found = run("campbell", "jeffcott", "--set", "controller.KD=-5", "--speeds", "0 rpm, 9000 rpm", "--plot", "c.svg")
     lines = found.stdout.splitlines()

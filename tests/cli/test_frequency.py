@@ -15,6 +15,7 @@ UNBALANCE = ["frequency", "jeffcott", "--from", "unbalance.force", "--to", "roto
 ENTRY = "amb.force[3]: no such entry; 'amb.force' has shape 2, counted from 1\n\nhint: name 'amb.force' for all\n"
 
 
+@pytest.mark.slow
 def test_what_is_printed(run: Run) -> None:
     found = run(*UNBALANCE, "--plot", "bode.png")
     assert (found.exit_code, found.stderr) == (0, "written: bode.png\n")

@@ -17,6 +17,7 @@ RECORD = ["record", "jeffcott", "--inject", "controller.displacement", "--amplit
 SHORT = ["--set", "solver.stop=6 s", "--rate", "4500 Hz", "--sweep", "20 Hz:2000 Hz"]
 
 
+@pytest.mark.slow
 def test_what_is_printed_of_a_diagram(run: Run) -> None:
     found = run("margins", "jeffcott", "--plot", "margins.png")
     assert (found.exit_code, found.stderr) == (0, "written: margins.png\n")
@@ -112,6 +113,7 @@ def test_blocks_that_are_cut_are_cut_from_what_is_injected(run: Run) -> None:
     assert np.ptp(still) < 0.01 * np.ptp(moving)
 
 
+@pytest.mark.slow
 def test_an_entry_that_a_diagram_has_not(run: Run) -> None:
     assert run(*RECORD, *SHORT).exit_code == 0
     file = Path("swept/recording.json")

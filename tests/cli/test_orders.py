@@ -125,6 +125,7 @@ def test_a_diagram_stands_beside_a_table(run: Run, table: Path) -> None:
     assert Path("a.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_table_is_written_and_read_back(run: Run, table: Path) -> None:
     found = run("orders", str(table), "--slow-roll", "600 rpm:800 rpm", "--out", "b", "--amplitude", "peak-peak")
     assert found.exit_code == 0
@@ -221,6 +222,7 @@ def test_a_speed_that_rises_and_falls_is_no_run_up(run: Run, table: Path) -> Non
     assert found.stdout.splitlines()[3].split()[-3:] == ["-", "-", "-"]
 
 
+@pytest.mark.slow
 def test_rows_that_overlap_are_warned_of(run: Run, table: Path) -> None:
     document = json.loads((table / "recording.json").read_text())
     document["runs"][0]["turns"] = 4

@@ -18,6 +18,7 @@ def test_list(run: Run) -> None:
     assert tables[0]["levels"] == [0.0, 0.01, 0.02, 0.05]
 
 
+@pytest.mark.slow
 def test_table_of_the_thesis(run: Run) -> None:
     found = run("sensitivity", "--table", "2-5", "--noise", "0,5", "--out", "a.csv", *FAST)
     assert found.exit_code == 0

@@ -32,6 +32,7 @@ def test_what_sensors_detect_and_isolate(run: Run):
     assert "Not judged (no harmonics of the shaft: it shows as a line of its own or as sidebands):" in text
 
 
+@pytest.mark.slow
 def test_machine_readable(run: Run):
     result = run("diagnose", "jeffcott", *SENSORS, "--physics", "runout,residual_bow,sensor_gain", "--json")
     assert result.exit_code == 0

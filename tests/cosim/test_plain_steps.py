@@ -159,6 +159,7 @@ def pair(folder: Path, **other: Any) -> Diagram:
     return load({**document, "record": ["a.y", "b.y"]}, folder=folder, trust_blocks=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("master", ["jacobi", "gauss_seidel"])
 def test_two_processes_give_what_they_give_in_python(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loops: list[int], master: str
@@ -233,6 +234,7 @@ def test_an_end_that_was_asked_for_is_forgotten_by_the_next_run(tmp_path: Path) 
     assert len(first.time) > 10
 
 
+@pytest.mark.slow
 def test_ctrl_c_in_c_does_not_wait_for_replies_that_have_come(tmp_path: Path) -> None:
     """It is raised when C returns, before the loop had noted how often it had asked: closing waited for 60 s."""
     diagram = pair(tmp_path)

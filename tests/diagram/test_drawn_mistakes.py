@@ -222,6 +222,7 @@ def test_the_schema_takes_quantities_for_options_and_asks_for_them() -> None:
     assert json.dumps(given)
 
 
+@pytest.mark.slow
 def test_a_parameter_that_an_option_follows_does_not_change_in_a_compiled_model() -> None:
     """It would have no effect, and nobody would know."""
     document = drawn(longest_element="$longest")

@@ -81,6 +81,7 @@ def test_a_default_that_does_not_fit_is_one_mistake() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_of_very_many_mistakes_the_first_are_shown_and_the_rest_counted() -> None:
     names = [f"b{k}" for k in range(3000)]
     blocks = ",\n".join(f'"{name}": {{"type": "gian"}}' for name in names)
@@ -90,6 +91,7 @@ def test_of_very_many_mistakes_the_first_are_shown_and_the_rest_counted() -> Non
     assert found[-1] == f"{MAX_PROBLEMS + 2}:19: : and {3000 - MAX_PROBLEMS} more problems | correct these first"
 
 
+@pytest.mark.slow
 def test_the_middle_of_a_long_loop_is_left_out() -> None:
     n = 1000
     document = diagram(

@@ -70,6 +70,7 @@ def test_settings_take_the_place_of_values_and_are_kept_in_the_document() -> Non
     assert json.loads(shipped_diagrams()["jeffcott"].read_text())["parameters"]["speed"] == "1500 rpm"
 
 
+@pytest.mark.slow
 def test_an_entry_that_is_set_leaves_the_others_as_the_diagram_has_them() -> None:
     given = {"support_left.stiffness[2]": "7 N/um"}
     loaded, before = load("fe_flexible", set=given), load("fe_flexible")

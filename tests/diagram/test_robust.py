@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable
 from typing import Any
 
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -81,6 +82,7 @@ def test_any_text_is_parsed_as_json_or_refused_with_a_place(text: str) -> None:
         assert parse_document(text).data == expected
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.dictionaries(NAMES, ODD, max_size=3))
 def test_any_setting_is_taken_or_refused(values: dict[str, Any]) -> None:

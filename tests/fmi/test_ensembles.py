@@ -30,6 +30,7 @@ def test_they_are_those_of_the_plain_diagram(fmu: Make, block: str, version: str
             assert made[kind, name] == pytest.approx(values, rel=0, abs=scale, nan_ok=True), (kind, name)
 
 
+@pytest.mark.slow
 def test_co_simulated_runs_are_those_by_themselves(fmu: Make) -> None:
     """Their parts hide their equations; the error of the coupling is told of each."""
     diagram = with_fmu(fmu, "controller", interface="cs")

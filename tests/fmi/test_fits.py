@@ -63,6 +63,7 @@ def found_right(found: Any) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_parameters_of_an_fmu_are_identified(folder: Path) -> None:
     assert found_right(identify(driven(folder), load_recording(folder)))
 

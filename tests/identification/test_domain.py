@@ -224,6 +224,7 @@ def recorded(off: float) -> Recording:
     return made([filled(seed, off=off) for seed in (1, 2, 3)], 1 / DT)
 
 
+@pytest.mark.slow
 def test_a_tank_that_runs_empty_is_refused_with_what_mends_it():
     with pytest.raises(RotorsimError) as caught:
         identify(load(TANK), recorded(off=1.7))
@@ -234,6 +235,7 @@ def test_a_tank_that_runs_empty_is_refused_with_what_mends_it():
     )
 
 
+@pytest.mark.slow
 def test_intervals_hold_though_a_level_stays_at_zero():
     """FAULT: exact sensitivities there grow to 1e15, and gains were said to be known to 4e-11 that were 2e-5 off."""
     above = {"type": "min_max", "parameters": {"function": "maximum"}}

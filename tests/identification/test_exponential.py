@@ -85,6 +85,7 @@ def stepped(equations: DrivenEquations, theta: np.ndarray, sub: int, acceleratio
     return Simulation(equations).in_exponential_steps(p, START, v, DT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cubic", [THETA[2], 0.0])
 def test_the_error_falls_with_the_fourth_power_of_the_step(equations, cubic):
     theta = np.array([*THETA[:2], cubic])
@@ -94,6 +95,7 @@ def test_the_error_falls_with_the_fourth_power_of_the_step(equations, cubic):
     assert np.log2(errors[1] / errors[2]) == pytest.approx(4, abs=0.6)
 
 
+@pytest.mark.slow
 def test_steps_are_more_accurate_than_those_of_runge_kutta_of_four_times_their_number():
     """x' = A x + q: a tilt that is fast in a step of Runge-Kutta is exact here."""
     document = {**ROTOR, "blocks": {k: b for k, b in ROTOR["blocks"].items() if k != "spring"}}
@@ -121,6 +123,7 @@ def test_derivatives_are_those_of_the_steps(equations):
         assert np.abs(derivatives[:, :, j] - expected).max() < 1e-5 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_blocks_of_samples_follow_a_shaft_that_runs_up_fast(equations, monkeypatch):
     """In a block the speed is that of its middle: the error is of second order in its length."""
     exact, errors = integrated(THETA), {}

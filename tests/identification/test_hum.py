@@ -19,6 +19,7 @@ def clean():
     return two_gains("jeffcott", SPEEDS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [0.0, 5e-8])
 def test_mains_hum_is_no_missing_physics(clean, level):
     """50 nm, some six times what the noise is at an order."""

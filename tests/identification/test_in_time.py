@@ -270,6 +270,7 @@ def test_runs_that_say_nothing_are_refused_all_at_once(diagram):
     )
 
 
+@pytest.mark.slow
 def test_a_parameter_that_nothing_measured_depends_on_is_not_identified():
     document = copy.deepcopy(OSCILLATOR)
     document["blocks"]["lamp"] = {"type": "gain", "parameters": {"gain": 2.0}}

@@ -89,6 +89,7 @@ def test_the_diagram_is_fitted_by_harmonic_balance():
     assert isinstance(experiment.motion, NonlinearMotion)
 
 
+@pytest.mark.slow
 def test_the_truth_is_found():
     """The data come from an integration in time: what agrees are two ways to the same settled motion."""
     found = identify(diagram(), recording(), profile=False)
@@ -119,6 +120,7 @@ def test_the_order_of_the_runs_does_not_matter():
     assert back.evaluate(theta).misfit[::-1] == pytest.approx(misfit, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_no_settled_motion_is_no_number():
     """Opposed magnets that pull beyond the gap have no settled motion: the residual is not a number, nothing hangs."""
     likelihood = Likelihood(open_experiment(diagram(0.5), recording()))
@@ -181,6 +183,7 @@ def saturated(speed: float) -> RecordedRun:
     return RecordedRun("jeffcott", time, columns, speed * time, speed, 2000.0, {})
 
 
+@pytest.mark.slow
 def test_a_motion_with_saturated_amplifiers_is_found_from_what_was_measured():
     """FAULT: at resonance the linear motion demands far more than they give, and led nowhere: runs were lost."""
 

@@ -266,6 +266,7 @@ def test_intervals_hold_the_truth_at_least_as_often_as_stated():
 # --- what it cannot tell ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_parameters_that_are_one_number_are_not_identified():
     """The least of all solutions scatters little; that does not make it known."""
     names = {item.name: {} for item in shipped("jeffcott").free}
@@ -300,6 +301,7 @@ def test_words_that_are_not_known():
         identify(shipped("jeffcott"), recording, method="regression", reduction="x")
 
 
+@pytest.mark.slow
 def test_a_wrong_model_is_not_called_adequate():
     """The y axis has the wrong sign, and all seven parameters can be computed all the same.
 

@@ -100,6 +100,7 @@ def test_unbalances_are_wired_to_the_acceleration_once():
     assert with_reaction(cut) is cut
 
 
+@pytest.mark.slow
 def test_the_right_diagram_leaves_the_noise_of_a_run_up():
     """Pulses jitter by 1.5 us, 0.9 mrad at 5600 rpm; once smoothed, that is not seen any more."""
     machine = Machine()

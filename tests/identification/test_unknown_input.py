@@ -106,6 +106,7 @@ def test_the_place_of_a_missing_signal_is_the_likeliest_and_the_signal_is_what_w
     assert 0.90 < (np.abs(error) < 1.96 * found.std[0][50:-50]).mean() < 0.99
 
 
+@pytest.mark.slow
 def test_where_nothing_is_missing_no_free_signal_explains_more_than_noise():
     places, runs = analysed(recorded(2, np.zeros(SAMPLES), 0))
     unknown = UnknownInputs(runs, NOISE)

@@ -64,6 +64,7 @@ def test_one_set_of_gains_leaves_k_s_open(one_set):
     assert {"crack_stiffness", "crack_phase", "eccentricity", "unbalance_phase"}.isdisjoint(one_set.open)
 
 
+@pytest.mark.slow
 def test_the_combination_is_the_stiffness_of_the_loop(one_set):
     """k_s - K_P k_i is what the motion shows; K_D k_i / c enters beside it."""
     combination = one_set.parameters[K_S].verdict.combination

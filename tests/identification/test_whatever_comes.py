@@ -107,6 +107,7 @@ CHANGES: list[Change] = [
 ]
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     edits=st.lists(st.sampled_from(range(len(EDITS))), max_size=3, unique=True),

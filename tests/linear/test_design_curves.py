@@ -154,6 +154,7 @@ def run(tmp_path, monkeypatch):
     return lambda *arguments: CliRunner().invoke(rotorsim, list(arguments))
 
 
+@pytest.mark.slow
 def test_the_verbs(run) -> None:
     found = run("modes", "jeffcott", "--vary", "controller.KD=-2:0.5:1", "--plot", "locus.png")
     assert (found.exit_code, found.stderr) == (0, "written: locus.png\n")

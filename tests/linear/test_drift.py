@@ -49,6 +49,7 @@ def test_a_sampled_free_mass_has_two_multipliers_at_one():
     assert sorted(1 + eigenvectors(M - np.eye(3), about=1.0)[0].real) == pytest.approx([0.5, 1.0, 1.0], abs=1e-15)
 
 
+@pytest.mark.slow
 def test_the_modes_of_a_free_beam_are_no_rounding():
     at = {speed: modes(load("drawn_rotor", without=FREE), parameters={"speed": speed}) for speed in (0.0, 50.0, 100.0)}
     zeros = {speed: int((found.real_poles == 0).sum()) for speed, found in at.items()}

@@ -133,6 +133,7 @@ def _bending(number: int, z: np.ndarray) -> tuple[float, np.ndarray]:
     return root, shape / 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("magnet", "probe", "told"), [(9, 9, "in phase"), (9, 11, "opposite phase"), (9, 10, "node")])
 def test_a_probe_beyond_a_node_of_the_first_mode(magnet: int, probe: int, told: str) -> None:
     """Nodes of the first mode are at 0.224 and 0.776 of the shaft; the mesh is of 1/40 m."""

@@ -78,6 +78,7 @@ def test_the_loop_of_a_sampled_controller_opens_and_goes_to_that_of_the_continuo
     np.testing.assert_allclose(np.abs(errors[1]) / np.abs(errors[0]), 0.5, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_margins_of_one_axis_are_those_among_all() -> None:
     drawn = load(two_ambs())
     every = margins(drawn).axes

@@ -36,6 +36,7 @@ def test_adaptive_methods_agree_with_the_closed_form(method):
     assert np.abs(result["position.output"] - exact_oscillator(result.time)).max() < 2e-7
 
 
+@pytest.mark.slow
 def test_the_virtual_machine_gives_what_c_gives():
     for made, record in ((oscillator(), 2), (sampled(3.7e-3), 3)):
         diagram = load(made)

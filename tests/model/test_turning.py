@@ -48,6 +48,7 @@ def exact(clock: dict[str, Any], step: int) -> tuple[float, float, float]:
     return float((first + rate * rising) ** 2), math.cos(rest), math.sin(rest)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", [{"speed": 314.15926535}, RAMP])
 def test_the_force_is_exact_over_ten_million_steps(clock: dict[str, Any]) -> None:
     """Within 1e-12 of its amplitude, where cos(W t) has the rounding of W t, half of 2^-34 at 3.1e5 rad."""

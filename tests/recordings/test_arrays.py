@@ -6,6 +6,7 @@ import zipfile
 
 import h5py
 import numpy as np
+import pytest
 import scipy.io
 
 from rotorsim.recordings.readers import reader
@@ -43,6 +44,7 @@ class Bomb:
         return exec, ("raise SystemExit('a pickle was loaded')",)
 
 
+@pytest.mark.slow
 def test_pickles_are_never_loaded(tmp_path):
     np.savez(tmp_path / "a.npz", x=np.array([Bomb()], dtype=object), y=np.zeros(1))
     assert refused(tmp_path / "a.npz", ["x", "y"]) == [

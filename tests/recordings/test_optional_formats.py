@@ -4,6 +4,7 @@ import gc
 import sys
 
 import numpy as np
+import pytest
 
 from rotorsim.recordings.readers.columns import DAMAGED, read_columns
 from tests.recordings.tables import TABLE, WRITERS, formats, refused, write_mf4, write_tdms, write_uff
@@ -102,6 +103,7 @@ def test_mf4(tmp_path, name):
     np.testing.assert_array_equal(found["time"], TABLE["t"])
 
 
+@pytest.mark.slow
 @formats(["a.mf4"])
 def test_a_damaged_mf4_leaves_no_traceback(tmp_path, name, monkeypatch):
     unheard: list[object] = []

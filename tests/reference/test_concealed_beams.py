@@ -194,6 +194,7 @@ def test_mean_of_a_lifted_rotor_settles_as_its_integrators_do(machine: str) -> N
             assert abs(seen[-1] - condensed[lane, row, -1]) < 5e-2 * abs(condensed[lane, row, -1])
 
 
+@pytest.mark.slow
 def test_a_rotor_that_falls_out_of_its_bearings_ends_the_simulation() -> None:
     """A floating rotor whose current is cut off at half of what holds it: an unstable pole is left."""
     parameters, runs, _, peaks = scene("two_amb_rotor")

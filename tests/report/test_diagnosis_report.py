@@ -230,6 +230,7 @@ def test_the_residual_is_noise_after_and_not_before() -> None:
     assert before.mean() > 100
 
 
+@pytest.mark.slow
 def test_spectra_show_measured_and_both_diagrams() -> None:
     both = held_runs(bowed())
     made = spectra_figure(both)
@@ -287,6 +288,7 @@ def test_without_a_motion_of_the_diagram_as_given_the_figures_show_the_other() -
     assert "diagram as given" not in labels
 
 
+@pytest.mark.slow
 def test_residuals_are_drawn_for_every_run_and_order() -> None:
     both = fitted_runs(bowed())
     made = residuals_figure(both)

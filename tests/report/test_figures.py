@@ -134,6 +134,7 @@ def test_forward_whirl_is_with_the_shaft_also_when_it_turns_backward():
     assert made.get_suptitle() == "run, -600 rpm"
 
 
+@pytest.mark.slow
 def test_growth_without_bound_is_drawn_on_a_logarithmic_scale(tmp_path):
     result = simulate(load("jeffcott", set={"controller.KP": 0.0, "controller.KD": -50.0}), stop=3.0)
     assert result.status == "diverged"

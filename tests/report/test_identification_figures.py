@@ -85,6 +85,7 @@ def runs(compared):
     return compared.runs
 
 
+@pytest.mark.slow
 def test_a_curve_leaves_out_what_is_rounding(runs):
     """The series of the crack has no fourth harmonic: a solver gives 1e-20 m there, with phases of no meaning."""
     group = next(iter(runs.groups))
@@ -127,6 +128,7 @@ def test_the_command_writes_them(recording, tmp_path):
         assert file.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_parameters_have_names_intervals_numbers_and_start_values(found, recording):
     made = parameters_figure(found, recording)
     axes, right = made.axes

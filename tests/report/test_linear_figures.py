@@ -73,6 +73,7 @@ def test_modes_that_do_not_oscillate_leave_an_empty_diagram(tmp_path):
     save_figure(campbell_figure(found, "rigid body"), tmp_path / "c.png")
 
 
+@pytest.mark.slow
 def test_a_frequency_response_has_magnitude_phase_and_unit(tmp_path):
     hz = np.geomspace(1, 1000, 200)
     found = frequency_response(load("jeffcott"), "controller.current", "rotor.displacement", frequencies=hz)
@@ -95,6 +96,7 @@ def test_phases_begin_within_half_a_turn():
     assert made.get_suptitle() == "x (not stable: no settled response)"
 
 
+@pytest.mark.slow
 def test_the_sensitivity_is_drawn_over_the_zones_of_the_standard_and_the_open_loop_below(tmp_path):
     found = margins(load("jeffcott"))
     upper, middle, lower = drawn(margins_figure(found, "jeffcott"), tmp_path / "s.png").axes

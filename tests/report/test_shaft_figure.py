@@ -21,6 +21,7 @@ def boxes(axes) -> list[tuple[float, ...]]:
     return [tuple(np.round([*c.min(axis=0), *np.ptp(c, axis=0)], 6).tolist()) for c in corners]
 
 
+@pytest.mark.slow
 def test_the_drawn_rotor_is_drawn_to_scale_with_what_is_wired_to_it(tmp_path: Path) -> None:
     diagram = load("drawn_rotor")
     made = shaft_figure(diagram)
@@ -73,6 +74,7 @@ def test_marks_of_nodes() -> None:
     }
 
 
+@pytest.mark.slow
 def test_marks_are_found_through_a_casing() -> None:
     """A bearing between rotor and casing acts on both, through sums and gains."""
     wired = between()
@@ -145,6 +147,7 @@ def test_cones_and_sleeves_have_the_mass_and_centre_of_their_slices() -> None:
     assert (200.0, 30.0, 100.0, 15.0) in found  # upper half of the sleeve
 
 
+@pytest.mark.slow
 def test_cones_and_sleeves_of_a_drawing_are_drawn_to_scale() -> None:
     tapers = {"rotor.conical_sections": [3], "rotor.end_outer_diameter": [0.06], "rotor.end_inner_diameter": [0.0]}
     sleeve = {

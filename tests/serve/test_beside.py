@@ -70,6 +70,7 @@ def test_what_was_measured_stands_beside_the_diagram_driven_as_it_was(at: Served
     talk(talking)
 
 
+@pytest.mark.slow
 def test_harmonics_that_were_measured_stand_beside_the_settled_motion(at: Served) -> None:
     async def talking() -> None:
         page = await opened(at)

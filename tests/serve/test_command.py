@@ -24,6 +24,7 @@ from rotorsim.diagram.resolve.resolution import shipped_diagrams
 ADDRESS = re.compile(r"http://127\.0\.0\.1:(\d+)/#([A-Za-z0-9_-]{43})\n")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
 def test_the_address_is_printed_and_ctrl_c_ends_everything(mine: Path) -> None:
     command = [sys.executable, "-m", "rotorsim", "serve", mine.name, "--no-browser", "--port", "0"]
@@ -47,6 +48,7 @@ def test_the_address_is_printed_and_ctrl_c_ends_everything(mine: Path) -> None:
         os.killpg(process.pid, 0)  # nothing is left of its session
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
 def test_ctrl_c_does_not_wait_for_what_is_computed(tmp_path: Path) -> None:
     (tmp_path / "rotor.json").write_bytes(shipped_diagrams()["drawn_rotor"].read_bytes())

@@ -173,6 +173,7 @@ def test_a_run_is_stopped(at: Served, mine: Path) -> None:
     talk(talking)
 
 
+@pytest.mark.slow
 def test_analyses_have_a_table_and_a_figure(at: Served) -> None:
     async def talking() -> None:
         page = await opened(at)
@@ -327,6 +328,7 @@ def test_recordings_below_the_folder_are_found_and_looked_into(at: Served, mine:
     talk(talking)
 
 
+@pytest.mark.slow
 def test_files_of_the_folder_are_no_modules(at: Served, mine: Path) -> None:
     """FAULT: a click.py beside the diagram was run by the verbs, without --trust-blocks."""
     (mine.parent / "click.py").write_text("open('ran', 'w')")

@@ -212,6 +212,7 @@ def test_harmonic_balance_tells_what_is_done():
         assert shares == pytest.approx([k / 6 for k in range(1, 7)] if stability else [k / 3 for k in range(1, 4)])
 
 
+@pytest.mark.slow
 def test_duffing_oscillator_has_the_amplitude_of_its_exact_harmonic_balance():
     """x'' + d x' + x + b x^3 = F cos: the first-harmonic amplitude solves the cubic of one-term balance nearly."""
 

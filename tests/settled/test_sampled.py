@@ -51,6 +51,7 @@ def harmonics(t: np.ndarray, y: np.ndarray, speed: float, orders: list[int]) -> 
     return np.linalg.lstsq(waves * weight, y * weight[:, 0], rcond=None)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("document", "signal"),
     [

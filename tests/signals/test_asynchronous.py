@@ -140,6 +140,7 @@ DRAWN = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.slow
 @DRAWN
 def test_the_frequency_is_found(case, draws):
     lines, _, follows, _, _ = CASES[case]
@@ -197,6 +198,7 @@ def test_noise_has_no_second_frequency():
     assert sum(find_asynchronous(data, harmonics_of(data)) is not None for data in found) <= 1
 
 
+@pytest.mark.slow
 def test_lines_of_one_run_are_no_second_frequency():
     for seed in range(5):
         one = (0, 2, 3)[seed % 3]

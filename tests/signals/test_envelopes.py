@@ -110,6 +110,7 @@ def test_the_peak_of_a_turn_is_that_of_all_orders_together_about_the_mean_of_the
     assert found.orders[2][20:-2] == pytest.approx(0.5, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_cracked_rotor_is_met_by_its_second_and_third_harmonic_and_one_without_a_crack_is_not():
     record = {"record": ["rotor.displacement", "clock.speed"], "record_every": 5}
     cracked, sound = (simulate(load("jeffcott_runup", without=cut), **record) for cut in ([], ["crack"]))

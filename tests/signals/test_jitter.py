@@ -28,6 +28,7 @@ def measured(seed: int, hertz: float, jitter: float, swing: float = 0.0) -> tupl
     return angle, float(np.mean(angle.theta - TURN * hertz * (TIME - pulses[0])))
 
 
+@pytest.mark.slow
 def test_angle_zero_is_as_uncertain_as_said():
     """60 sets of six runs with 5 us: the mean square of errors over said deviations is one, to 4 sqrt(2 / 360)."""
     squares, alone = [], []

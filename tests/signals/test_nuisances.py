@@ -204,6 +204,7 @@ def test_hum_of_a_fifth_of_the_noise_is_found_and_measured(lines):
     assert all(len(item.fit.pickups) == len(lines) for k, item in enumerate(again) if k != 4)
 
 
+@pytest.mark.slow
 def test_no_hum_where_there_is_none():
     for seed in range(6):
         data = humming(seed, {})

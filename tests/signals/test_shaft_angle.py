@@ -106,6 +106,7 @@ def test_a_wobbling_speed_is_followed():
     assert np.abs(off(angle.theta, theta)[between]).max() < 5 * angle.jitter
 
 
+@pytest.mark.slow
 def test_jitter_of_pulses_is_estimated_and_smoothed():
     """The angle is that of a straight line through the pulses: chi-squared of the jitter, sigma / sqrt(n) of zero."""
     theta = turned([0.4, SPEED])

@@ -17,6 +17,7 @@ def test_elementary_blocks_give_the_same_signals() -> None:
     assert figures.elementary(stop=1.0) <= 1e-9
 
 
+@pytest.mark.slow
 def test_jeffcott_against_independent_integration() -> None:
     """RK4 at the diagram's step errs by 1e-6, so the step is refined until the equations are what is compared."""
     displacement, current = figures.independent(stop=0.5, step=2e-5)

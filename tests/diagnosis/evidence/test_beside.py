@@ -13,6 +13,7 @@ from tests.diagnosis.evidence.level_control import made
 from tests.identification.test_domain import TANK, filled
 
 
+@pytest.mark.slow
 def test_beside_the_motion_of_a_fit_that_explains_promises_are_what_fits_leave():
     """FAULT: beside the fit without it, of two tanks, a cross-talk at a sensor promised seven times what it leaves.
 
@@ -35,6 +36,7 @@ def test_beside_the_motion_of_a_fit_that_explains_promises_are_what_fits_leave()
     assert beside.start[f"{item.name}.linear"] == pytest.approx(0.04, rel=0.02)
 
 
+@pytest.mark.slow
 def test_beside_a_law_of_a_reading_the_motion_is_that_before_it():
     """FAULT: the motion was what was read, so that another law of that reading had nothing left to do."""
     runs = [filled(seed) for seed in (1, 2)]

@@ -44,6 +44,7 @@ def alone(key: str, fixed: dict[str, float] | None = None) -> tuple[PeriodicLaw,
     return law, one
 
 
+@pytest.mark.slow
 def test_a_law_without_states_adds_its_harmonics_and_their_derivatives():
     """f = -k r^2 x along an ellipse x = a cos, y = b sin: of x the orders 1 and 3."""
     law, _ = alone("cubic_stiffness/0@rotor.force[3]")
@@ -113,6 +114,7 @@ def test_derivatives_by_parameters_are_those_of_differences():
         np.testing.assert_allclose(found[..., 1 + j], expected, atol=1e-3 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_a_rate_that_is_limited_adds_what_an_integration_does():
     """FAULT: what a limited rate of current adds was not known, and two such fits were made in every round.
 
@@ -222,6 +224,7 @@ def test_laws_promise_what_their_fits_leave(hidden):
             assert one.misfit < 1.1 * base.rows < 0.2 * one.without
 
 
+@pytest.mark.slow
 def test_a_law_is_no_less_a_rival_where_the_diagram_has_gone_far():
     """FAULT: parameters of the diagram had taken up what they could of a strong bow; that it leaves noise was not told.
 
@@ -238,6 +241,7 @@ def test_a_law_is_no_less_a_rival_where_the_diagram_has_gone_far():
     assert not is_beyond(one, base, [fit], noticed_from(len(item.free), 1e-4), 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sense", [1, -1])
 def test_a_shaft_that_turns_the_other_way_round_promises_as_well(sense):
     """To a tenth of what fits explain, or of what noise makes of one parameter: laws of angle, motion and its rate."""
@@ -275,6 +279,7 @@ def test_nothing_is_promised_where_nothing_is_hidden():
         assert drop < 28 + 6 * len(item.free), item.key  # chi-squared of 2 (28) to 12 (53) unknowns at 1e-6
 
 
+@pytest.mark.slow
 def test_sizes_that_would_have_been_seen_follow_from_promises():
     """The deviation of a size at a place, with the diagram free, is that of its fit."""
     source, base, _ = concealing(GAIN)
@@ -286,6 +291,7 @@ def test_sizes_that_would_have_been_seen_follow_from_promises():
     assert one.std["gain_error"] == pytest.approx(np.sqrt(fit.covariance[j, j]), rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", [BOW, GAIN])
 def test_laws_promise_what_their_fits_leave_beside_a_nonlinear_diagram(hidden):
     """Of a shaft with a keyway, whose orders answer to one another: as beside a linear one."""
@@ -303,6 +309,7 @@ def test_laws_promise_what_their_fits_leave_beside_a_nonlinear_diagram(hidden):
             assert one.misfit < 1.1 * base.rows < 0.2 * one.without
 
 
+@pytest.mark.slow
 def test_a_law_that_is_not_linear_starts_where_its_step_leads():
     """FAULT: a saturation began beside the parameters that imitated it, with 1574 times the misfit, and ended there."""
     source, base, _ = concealing(CUBIC)

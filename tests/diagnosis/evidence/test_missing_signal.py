@@ -62,6 +62,7 @@ def signal(lacking):
     return evidence.missing_signal(before, after, item, item.spot, classes)
 
 
+@pytest.mark.slow
 def test_the_missing_signal_is_the_friction(signal):
     assert (str(signal.place), signal.physics, signal.over) == ("friction.output", "dry_friction", "friction.output")
     assert signal.share > 0.9
@@ -92,6 +93,7 @@ def test_without_a_law_it_is_drawn_over_the_signal_that_explains_it(lacking):
     assert found.share > 0.8
 
 
+@pytest.mark.slow
 def test_what_a_sensor_adds_with_time_is_drawn_over_time():
     """FAULT: the law at a reading was zero: what it reads was looked up where the recording reads what it gives."""
     runs = [braked(seed, dry=0.0) for seed in (3, 4)]

@@ -94,6 +94,7 @@ def test_chi_squared_would_reject_white_rows_too_often():
     assert 1e-3 < (drawn > chi2.isf(1e-4, 40)).mean() < 3e-3
 
 
+@pytest.mark.slow
 def test_what_a_fit_takes_up_of_slow_noise_is_not_taken_from_its_memory():
     """Eight slow curves beside rows that keep 0.8: what is left keeps less, its likelihood says 0.8 and 1."""
     n, found = 100, []
@@ -120,6 +121,7 @@ def test_memory_is_what_a_row_keeps_of_the_row_before():
     assert memory_of([gap]) < 0.8
 
 
+@pytest.mark.slow
 def test_a_whitened_search_takes_the_row_before_away_and_begins_anew_after_a_gap(diagram, tmp_path):
     recording = load_orders(run_up(tmp_path / "r", drawn(1), 1))
     tracked = tracked_orders(diagram, recording, recording.runs, diagram.free)
@@ -155,6 +157,7 @@ def test_where_nothing_is_hidden_the_noise_is_found(diagram, tmp_path, memory):
     assert opened.evidence.structure(opened.base) == 0
 
 
+@pytest.mark.slow
 def test_noise_of_a_run_that_is_not_explained_is_white_between_rows(diagram, tmp_path):
     folder = run_up(tmp_path / "r", drawn(1, cubic=1e12), 1)
     recording = load_orders(folder)
@@ -258,6 +261,7 @@ def test_run_out_that_was_not_subtracted_is_a_class_with_bow(diagram, tmp_path):
     assert "Slow roll was fitted" not in found.statement
 
 
+@pytest.mark.slow
 def test_few_rows_are_never_consistent(diagram, tmp_path):
     speed, vectors = passage(drawn(2), 1250.0, 700.0, rows=30)
     folder = write_runs(tmp_path / "r", {"up": (speed, recorded(vectors[:, :1], 2))})
@@ -278,6 +282,7 @@ def test_rows_at_one_speed_are_never_consistent(diagram, tmp_path):
     assert "All its runs are alike, though: at one speed unbalance imitates bow and runout" in found.statement
 
 
+@pytest.mark.slow
 def test_what_cannot_be_compared_is_refused(diagram, tmp_path):
     speed, vectors = passage(drawn(2), 1250.0, 230.0, rows=40)
     one = load_orders(write_runs(tmp_path / "one", {"up": (speed, recorded(vectors[:, :1], 2))}))

@@ -93,6 +93,7 @@ def test_a_clock_without_a_wire_turns_no_shaft(tmp_path):
     assert not is_in_time(load(wired), taken)
 
 
+@pytest.mark.slow
 def test_what_runs_away_is_said_to_diverge(tmp_path):
     wrong = copy.deepcopy(SERVO)
     wrong["blocks"]["controller"]["parameters"]["gain"] = -1e6

@@ -67,6 +67,7 @@ def servo():
     return evidence, evidence.fit(SERVO, []), evidence.fit(saturated(LIMIT), [])
 
 
+@pytest.mark.slow
 def test_a_limit_that_was_not_reached_shows_at_twice_the_amplitude(servo):
     evidence, linear, limited = servo
     assert abs(linear.misfit - limited.misfit) < 1.0  # the recording does not tell them apart

@@ -180,6 +180,7 @@ def test_what_one_sensor_alone_shows_asks_for_a_second_sensor():
     assert signal["line"] < 1
 
 
+@pytest.mark.slow
 def test_runs_that_begin_elsewhere_do_not_come_again():
     """The same inputs, and another motion: what a law adds is another then, too."""
     diagram, found = load(OSCILLATOR), []

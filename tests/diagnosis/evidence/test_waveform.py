@@ -243,6 +243,7 @@ def test_a_recording_of_inputs_alone_is_refused():
     )
 
 
+@pytest.mark.slow
 def test_a_mode_too_fast_to_simulate_is_said_to_be():
     document = values_in({**OSCILLATOR, "identify": {}}, {"oscillator.mass": 1e-12})
     assert refusal(document, oscillator_recording(machines.CUBIC)) == (

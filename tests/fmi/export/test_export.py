@@ -107,6 +107,7 @@ def test_a_communication_step_off_the_grid_is_cut_into_equal_steps(fmu):
     assert np.abs(rows[::2] - exact[::125]).max() <= 1.1 * np.abs(own - exact).max()
 
 
+@pytest.mark.slow
 def test_scalars_have_structured_names_units_and_bounds(fmu):
     description = fmpy.read_model_description(str(fmu("fe_rigid", platforms=())))
     variables = {v.name: v for v in description.modelVariables}
@@ -132,6 +133,7 @@ def test_the_same_export_gives_the_same_bytes(tmp_path, version):
     assert f"sources/fmi{version[0]}.c" in names
 
 
+@pytest.mark.slow
 def test_the_sources_compile_alone_with_one_command(fmu, tmp_path):
     import subprocess
 

@@ -49,6 +49,7 @@ def columns(diagram: Diagram, **options: Any) -> dict[str, np.ndarray]:
     return dict(simulate(diagram, record_every=1, **options).columns())
 
 
+@pytest.mark.slow
 @pairs(("3.0", "2.0"))
 def test_a_loop_with_its_rotor_as_an_fmu_is_the_plain_loop_wherever_it_lies(
     fmu: Make, tmp_path: Path, inner: str, outer: str
@@ -92,6 +93,7 @@ def test_instances_side_by_side_have_parameters_of_their_own(fmu: Make, tmp_path
 # ---- events ----
 
 
+@pytest.mark.slow
 @pairs(("2.0", "3.0"))
 def test_events_are_carried_out_in_steps_and_for_a_solver(tmp_path: Path, inner: str, outer: str) -> None:
     """Two balls of one file, a lag behind one: RK4 from bounce to bounce as `run` does it, and CVode of FMPy.
@@ -214,6 +216,7 @@ def messages_of(made: Path, steps: int = 0, **values: float) -> list[str]:
         return [text for status, _, text in one.messages if status >= 2]
 
 
+@pytest.mark.slow
 def test_what_fails_inside_is_told_with_its_name(tmp_path: Path) -> None:
     make_fmu(tmp_path / "plant2.fmu")
     for fault, text in (

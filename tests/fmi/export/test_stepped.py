@@ -197,6 +197,7 @@ def test_the_export_says_what_it_costs(fmu: Make, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_command_refuses_a_step_that_makes_the_loop_unstable(fmu: Make, run: Any) -> None:
     document = dict(with_fmu(fmu, "controller", interface="cs").document)
     for step in ("0.1 ms", "1 ms"):

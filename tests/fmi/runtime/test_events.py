@@ -85,6 +85,7 @@ def test_a_ball_that_starts_on_the_ground(fmu: Path, run: Run) -> None:
     assert found["it.count"][-1] == 1.0
 
 
+@pytest.mark.slow
 def test_a_ball_that_comes_to_rest_is_an_error_and_no_endless_loop(fmu: Path, run: Run) -> None:
     found = run(fmu, "ball", 6.0)
     end = bounces(1)[0] * (1 + 2 * E / (1 - E))
@@ -102,6 +103,7 @@ def test_a_relay_without_hysteresis_is_an_error(fmu: Path, run: Run) -> None:
     assert found.time[-1] == pytest.approx(1.0 - run.short)
 
 
+@pytest.mark.slow
 def test_a_relay_with_hysteresis(fmu: Path, run: Run) -> None:
     """x' = (2 on - x) / 1 s between 0.5 and 1.5: ln 2 to the first switching, ln 3 between others.
 

@@ -99,6 +99,7 @@ def test_faults_of_a_step(clean: Path, plants: dict[str, Path], version: str, fa
         assert len(error.log) == 1
 
 
+@pytest.mark.slow
 def test_the_log_of_fmi2_is_formatted_as_printf_does(clean: Path, plants: dict[str, Path]) -> None:
     with pytest.raises(FmuError) as caught:
         run_faulty(plants["2.0"], "fail")

@@ -25,6 +25,7 @@ def test_a_line_is_found_with_its_frequency_and_amplitude_and_taken_out():
     assert rest.max() < 0.01 * np.abs(made(line).Y).max()
 
 
+@pytest.mark.slow
 def test_no_line_is_found_in_noise_and_resonances():
     assert (THRESHOLD, CLEAN, LEFT_OVER) == (30.0, 4.0, 0.01)
     assert [without_lines(made(0.0, seed=seed), 400.0)[1] for seed in range(8)] == [[]] * 8

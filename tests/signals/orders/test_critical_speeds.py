@@ -30,6 +30,7 @@ def _found(recording, order=1, turns=1):
     return critical_speeds(orders.runs[0], orders.channels, order), orders
 
 
+@pytest.mark.slow
 def test_a_fast_run_up_gives_the_settled_peak_that_it_never_shows():
     truth = peak_of(300.0, 0.03)
     orders = usual()[1]
@@ -47,6 +48,7 @@ def test_a_fast_run_up_gives_the_settled_peak_that_it_never_shows():
     assert found.excess < 1.2
 
 
+@pytest.mark.slow
 def test_a_coast_down_gives_the_same():
     truth = peak_of(300.0, 0.03)
     found, _ = _found(run_up([FORWARD], 500.0, 60.0, 5.0, noise=NOISE))
@@ -55,6 +57,7 @@ def test_a_coast_down_gives_the_same():
     assert one.peak.amplification == pytest.approx(truth.amplification, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_planes_of_different_stiffness_are_two_critical_speeds_and_whirl_is_planar():
     modes = [Mode(300.0, 0.04, x=E), Mode(310.0, 0.04, y=-1j * E)]
     found, _ = _found(run_up(modes, 60.0, 500.0, 8.0, noise=NOISE))
@@ -62,6 +65,7 @@ def test_planes_of_different_stiffness_are_two_critical_speeds_and_whirl_is_plan
     assert [abs(one.whirl) < 0.05 for one in found.found] == [True, True]
 
 
+@pytest.mark.slow
 def test_planes_are_both_found_where_one_mode_alone_explains_next_to_nothing():
     modes = [Mode(300.0, 0.03, x=E), Mode(330.0, 0.03, y=-1j * E)]
     found, _ = _found(run_up(modes, 100.0, 500.0, 4.0, noise=3e-7))
@@ -75,6 +79,7 @@ def test_three_modes_that_are_passed_quickly_are_all_found():
     assert [one.frequency for one in found.found] == pytest.approx([200.0, 350.0, 550.0], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_natural_frequency_that_follows_the_speed_is_met_where_they_are_equal():
     """A disc with gyroscopic moments: m q'' + (c - i W g) q' + k q = e g(t), its settled peak by a fine grid."""
     speed, gyro = np.linspace(250.0, 360.0, 200_001), 0.3
@@ -87,6 +92,7 @@ def test_a_natural_frequency_that_follows_the_speed_is_met_where_they_are_equal(
     assert found.explained
 
 
+@pytest.mark.slow
 def test_backward_whirl_is_said():
     recording = run_up([Mode(300.0, 0.04, E, 1j * E)], 60.0, 500.0, 5.0, noise=NOISE)
     found, _ = _found(recording)
@@ -98,12 +104,14 @@ def test_backward_whirl_is_said():
     assert again.found[0].peak.speed == pytest.approx(found.found[0].peak.speed, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_second_order_meets_the_mode_at_half_the_speed():
     found, _ = _found(run_up([Mode(600.0, 0.03, 3.0, -3j, order=2)], 60.0, 500.0, 4.0, noise=NOISE), order=2)
     [one] = found.found
     assert one.peak.speed == pytest.approx(peak_of(600.0, 0.03, 2).speed, rel=5e-4)
 
 
+@pytest.mark.slow
 def test_two_modes_far_apart_are_found_with_slow_roll_between():
     modes = [Mode(180.0, 0.03, E, -1j * E), Mode(420.0, 0.02, 0.5 * E, -0.5j * E)]
     found, _ = _found(run_up(modes, 50.0, 560.0, 8.0, noise=NOISE, slow_roll=3e-6 + 1e-6j))
@@ -118,6 +126,7 @@ def test_nothing_is_found_where_no_critical_speed_was_passed(hum):
     assert found.found == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("duration", "hum"), [(4.0, 6e-7), (5.0, 1e-6), (8.0, 1e-5)])
 def test_hum_is_taken_out_and_makes_no_critical_speed_of_any_order(duration, hum):
     """1X, 2X and 3X pass 50 Hz at 3000, 1500 and 1000 rpm."""
@@ -174,6 +183,7 @@ def test_what_was_not_measured_is_refused():
         critical_speeds(hurried, orders.channels)
 
 
+@pytest.mark.slow
 def test_a_channel_that_a_run_lacks_or_that_is_full_of_gaps_is_left_out():
     orders = usual()[1]
     run, whole = orders.runs[0], orders.runs[0].vectors
@@ -204,6 +214,7 @@ def test_a_slow_run_of_many_turns_is_taken_as_settled():
     assert found.found[0].peak.speed == pytest.approx(peak_of(300.0, 0.03).speed, rel=5e-4)
 
 
+@pytest.mark.slow
 def test_what_linear_modes_do_not_explain_is_said_to_be_so():
     orders = usual()[1]
     run = orders.runs[0]

@@ -16,6 +16,7 @@ MACHINE = [Mode(300.0, 0.08, 2e-5, -2e-5j)]
 SLOW = {"first": 100.0, "last": 500.0, "duration": 8.0}
 
 
+@pytest.mark.slow
 def test_a_wide_filter_has_the_vectors_of_each_turn() -> None:
     recording = run_up(MACHINE, **SLOW, slow_roll=2e-6)
     turns = tracked_recording(recording, [1, 2])[0].runs[0]
@@ -41,6 +42,7 @@ def test_the_mains_that_the_shaft_overtakes_are_told_apart(passband: Passband) -
     assert left < 0.25 * taken  # it passes at 8 Hz/s, hardly faster than B^2: within 1 / B the two are nearly alike
 
 
+@pytest.mark.slow
 def test_the_other_way_round_is_the_mirror_image() -> None:
     recording = run_up(MACHINE, **SLOW)
     values = {**recording.runs[0].values, "angle": -recording.runs[0].values["angle"]}
