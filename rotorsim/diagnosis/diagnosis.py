@@ -162,7 +162,8 @@ def _judged(opened: Opened, selection: Selection) -> _Judged:
         if (selection.chosen or converters) and selection.explains:
             left = 0.0 if selection.explained else max(1 - selection.share, 0.0)
             scores = validation.score(selection.base), validation.score(selection.fit)
-            proof = prove(*scores, left=left, held=validation.held_out)
+            grows = validation.held_out and any(item.insertion.grows for item in selection.chosen)
+            proof = prove_by_error(*scores) if grows else prove(*scores, left=left, held=validation.held_out)
         faint = is_faint(selection.base, validation.score(selection.base)) and not validation.is_force(selection.base)
     elif opened.held_out and not evidence.independent and selection.chosen and selection.explains:
         proof = prove_by_error(evidence.score(selection.base), evidence.score(selection.fit))

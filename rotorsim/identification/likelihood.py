@@ -145,7 +145,7 @@ class Likelihood:
         means = [known.start(own) for known, own in zip(fresh, self._means or itertools.repeat(None), strict=False)]
         inputs = self.data[:, :, self.c :]
         for _ in range(self.rounds):
-            prediction = motion.predict(theta, means, inputs)
+            prediction = self.predict(theta, means, inputs)
             Y = self._padded(prediction.Y)
             turn = self._turned(Y)
             Y = Y * turn[:, :, None]
@@ -156,7 +156,7 @@ class Likelihood:
             means = [own + change for own, change in zip(means, runs.means, strict=True)]
             inputs = inputs + runs.inputs
         if self._shifts:
-            prediction = motion.predict(theta, runs.means)
+            prediction = self.predict(theta, runs.means)
             Y = self._padded(prediction.Y) * turn[:, :, None]
         elif prediction.settled.all():
             self._means = means
@@ -168,6 +168,10 @@ class Likelihood:
         if self.V:
             derivatives = np.pad(derivatives, ((0, 0), (0, 0), (0, self.V), (0, 0)))
         return self._together(runs, runs.without(-self.white(real_columns(derivatives))), Y), prediction
+
+    def predict(self, theta: np.ndarray, means: Sequence[np.ndarray], inputs: np.ndarray | None = None) -> Prediction:
+        """Return the motion at theta (m,) with slow states at given means."""
+        return self.experiment.motion.predict(theta, means, inputs)
 
     def _padded(self, harmonics: np.ndarray) -> np.ndarray:
         """Return harmonics (R, K+1 or orders, ...) with nothing on the lines beside them, where there is none."""

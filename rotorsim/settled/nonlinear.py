@@ -31,9 +31,11 @@ class NonlinearMotion(SettledMotion):
     """The settled motion of a nonlinear diagram; each solution is the start of the next.
 
     measured (R, K+1, c): harmonics of the outputs as they were measured; the first solution may start with these.
+    shift (R,): rate [1/s] with which all of it decays, see `decaying`.
     """
 
     measured: np.ndarray | None = None
+    shift: np.ndarray | None = None
 
     is_linear = False
     corrections = 4
@@ -64,6 +66,10 @@ class NonlinearMotion(SettledMotion):
     def elsewhere(self, p: np.ndarray, speeds: np.ndarray, K: int, r: int, beside: Torus | None) -> NonlinearMotion:
         """Return the motion of other runs, which were not measured; see `SettledMotion`."""
         return replace(super().elsewhere(p, speeds, K, r, beside), measured=None)
+
+    def decaying(self, rates: np.ndarray) -> NonlinearMotion:
+        """Return the motion whose orders answer to what decays with rates (R,) [1/s]: at i k W - rate, for i k W."""
+        return replace(self, measured=None, shift=rates)
 
     def reading(self, equations: Equations) -> NonlinearMotion:
         """Return the motion with other outputs, which were not measured."""
@@ -130,32 +136,31 @@ class NonlinearMotion(SettledMotion):
         """Return the means of slow states that start with the run.
 
         x' = f - a x from x_0 on has over a window T the mean x_0 g + f T (1 - g) / u,  g = (1 - e^-u) / u,  u = a T,
-        and the Legendre coefficients (x_0 u - f T) l_n,  l_n = (2 n + 1) (-1)^n e^{-u/2} i_n(u / 2) / u;
-        i_n: modified spherical Bessel functions of the first kind.
+        and what decays of it the Legendre coefficients (x_0 u - f T) l_n,
+        l_n = (2 n + 1) (-1)^n e^{-u/2} i_n(u / 2) / u;  i_n: modified spherical Bessel functions of the first kind.
         """
         self.opened(theta)
         equations, whole = self.equations, self.equations.whole
         x_0 = equations.model.x0(equations.model.p0)[equations.kept]
         every = []
         for r, (slow, T) in enumerate(zip(self.slow, self.windows, strict=True)):
-            places = np.flatnonzero(equations.means[slow] == FRESH)
-            values, jacobian = np.zeros(len(places)), np.zeros((len(places), len(theta)))
-            courses, by_courses = np.zeros((len(places), 2)), np.zeros((len(places), 2, len(theta)))
-            for k, state in enumerate(slow[places]):
+            known = FreshMeans.none(len(slow), len(theta), np.flatnonzero(equations.means[slow] == FRESH))
+            for k, state in enumerate(slow[known.places]):
                 x = np.zeros((equations.n, 2))
                 x[state, 1] = 1.0
                 point = self.times[r, :1], x, self.p[r], theta
                 f, df = whole.f(*point)[:, state, 0], whole.f_theta(*point)[:, state]
                 u, du = (f[0] - f[1]) * T, (df[0] - df[1]) * T
                 g, rest = _settling(u)
-                values[k] = x_0[state] * g[0] + f[0] * T * rest[0]
-                jacobian[k] = (x_0[state] * g[1] + f[0] * T * rest[1]) * du + df[0] * T * rest[0]
+                known.values[k] = x_0[state] * g[0] + f[0] * T * rest[0]
+                known.jacobian[k] = (x_0[state] * g[1] + f[0] * T * rest[1]) * du + df[0] * T * rest[0]
                 far, by_far = x_0[state] * u - f[0] * T, x_0[state] * du - df[0] * T
-                for n in (1, 2):
-                    bend, by_bend = _bend(u, n)
-                    courses[k, n - 1] = far * bend
-                    by_courses[k, n - 1] = by_far * bend + far * by_bend * du
-            every.append(FreshMeans(len(slow), places, values, jacobian, courses, by_courses))
+                known.rates[k], known.by_rates[k] = u / T, du / T
+                for n in range(3):
+                    part, by_part = _decay(u, n)
+                    known.decaying[k, n] = far * part
+                    known.by_decaying[k, n] = by_far * part + far * by_part * du
+            every.append(known)
         return every
 
     def growth(self, theta: np.ndarray) -> np.ndarray:
@@ -199,6 +204,8 @@ class NonlinearMotion(SettledMotion):
                     moved.append(_side_by_side(whole.B(*point)))
             changed.append(_side_by_side(change))
         s = 1j * np.abs(self.speeds)[:, None] * np.arange(self.H + 1)
+        if self.shift is not None:
+            s = s - self.shift[:, None]
         self.ports = open_ports(A, s, self.slow, changing, moved, changed)
         self.inner: PortEquations = self.equations.at_ports(self.ports.rows, self.ports.columns)
         return self.ports
@@ -314,15 +321,16 @@ def _settling(u: float) -> tuple[tuple[float, float], tuple[float, float]]:
     return (g, dg), (rest, -(dg + rest) / u)
 
 
-def _bend(u: float, n: int) -> tuple[float, float]:
-    """Return (2 n + 1) (-1)^n e^{-u/2} i_n(u / 2) / u of degree n = 1 or 2, and its derivative by u."""
-    if abs(u) < 1e-3:  # three terms of the series: 1e-9
+def _decay(u: float, n: int) -> tuple[float, float]:
+    """Return (2 n + 1) (-1)^n e^{-u/2} i_n(u / 2) / u of degree n = 0, 1 or 2, and its derivative by u."""
+    if abs(u) < 1e-3 and n:  # three terms of the series: 1e-9
         if n == 1:
             return -1 / 2 + u / 4 - 3 * u**2 / 40, 1 / 4 - 3 * u / 20
         return u / 12 - u**2 / 24 + u**3 / 84, 1 / 12 - u / 12 + u**2 / 28
+    u = np.copysign(max(abs(u), 1e-6), u)
     z, sign = u / 2, (2 * n + 1) * (-1) ** n
-    below, size = (_scaled_bessel(k, z) for k in (n - 1, n))
-    slope = below - (n + 1) / z * size - size  # of e^-z i_n
+    size, above = (_scaled_bessel(k, z) for k in (n, n + 1))
+    slope = above + (n / z - 1) * size  # of e^-z i_n
     return sign * size / u, sign * (slope / 2 - size / u) / u
 
 

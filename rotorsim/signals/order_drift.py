@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from rotorsim.recordings.recording import Recording
-from rotorsim.signals.covariance import real_form
+from rotorsim.signals.covariance import complex_values, real_form
 from rotorsim.signals.harmonic_basis import harmonic_basis, wave_columns
 from rotorsim.signals.harmonics import RunHarmonics, samples_of
 
@@ -21,11 +21,12 @@ class OrderDrift:
     """The drift of 1X of the channels of one run: y_c = ... + 2 Re (sum over n of values[n-1, c] P_n(u)) e^{i theta}.
 
     u: from -1 to 1 over the run. values (DEGREES, C) [SI], complex. gram (DEGREES,): variance of the real and of the
-    imaginary part for noise of variance one.
+    imaginary part for noise of variance one. leaked (K+1, C): what it adds to harmonics that are fitted without it.
     """
 
     values: np.ndarray
     gram: np.ndarray
+    leaked: np.ndarray
 
     def covariance(self, item: RunHarmonics, columns: np.ndarray, degree: int, resolution: float) -> np.ndarray:
         """Return the covariance (2 c, 2 c) of real and imaginary parts of one degree in some channels of the run.
@@ -49,7 +50,8 @@ def drift_of_order(item: RunHarmonics, recording: Recording) -> OrderDrift:
     u = 2 * (samples.time - samples.time[0]) / (samples.time[-1] - samples.time[0]) - 1
     wave = wave_columns(samples.theta)
     legendre = np.polynomial.legendre.legvander(u, DEGREES)[:, 1:]
-    _, columns = basis.solve(np.column_stack([wave * p[:, None] for p in legendre.T]))
+    taken, columns = basis.solve(np.column_stack([wave * p[:, None] for p in legendre.T]))
     inverse = np.linalg.inv(columns.T @ columns)
     found = inverse @ (columns.T @ basis.solve(y)[1])
-    return OrderDrift(found[::2] + 1j * found[1::2], np.diag(inverse).reshape(-1, 2).mean(axis=1))
+    leaked = complex_values((taken @ found)[: 2 * basis.orders + 1].ravel(), y.shape[1])
+    return OrderDrift(found[::2] + 1j * found[1::2], np.diag(inverse).reshape(-1, 2).mean(axis=1), leaked)

@@ -54,8 +54,9 @@ def prove(before: HeldScore, after: HeldScore, *, left: float = 0.0, held: bool 
 
 
 def prove_by_error(before: Score, after: Score) -> Proof:
-    """Return whether a repaired diagram predicts hold-out runs whose samples are not independent, by its error there.
+    """Return whether a repaired diagram predicts hold-out runs by its error there.
 
+    Where samples are not independent, and where 1X drifts within the runs: what drifts is no noise of the harmonics.
     Disproved: the squared error rises by more than a model of the noise may be wrong by (`Criteria.model_error`); it
     must fall to be proved.
     """
