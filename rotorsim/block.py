@@ -142,7 +142,9 @@ class Param(Declaration):
     """Declare a numeric parameter: a run-time argument, changed without compiling again.
 
     default None: must be given. low, high: closed bounds; above: open lower bound. tolerance: standard uncertainty of
-    a stated value that nobody measured (damping, as a rule): a diagnosis leaves it free within that.
+    a stated value that nobody measured (damping, as a rule): a diagnosis leaves it free within that. series: of a part
+    that others act through, as the stiffness of a support: the larger it is, the less it shows, so that a fit looks for
+    its reciprocal.
     """
 
     default: Any = None
@@ -151,6 +153,7 @@ class Param(Declaration):
     high: float | None = None
     above: float | None = None
     tolerance: float | None = None
+    series: bool = False
 
 
 @dataclass(frozen=True)

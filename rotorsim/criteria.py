@@ -99,6 +99,9 @@ class Criteria:
     map_term: float = 0.1
     # probability of a false alarm of drift, for a channel of a recording
     drift: float = 1e-3
+    # of the drift of 1X beyond noise that a law which grows within the runs must explain: most of it, since a bow need
+    # not grow as one exponential does, while drifts of the speed, from run to run of any sign, are no growth at all
+    cause_of_drift: float = 0.5
     # residual variance, of the noise's, above which a diagram does not say which offsets drift of themselves
     drift_judged: float = 2.0
     # of the power of a line: a force that explains it, by transfer functions that need not be quite right

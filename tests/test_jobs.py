@@ -315,6 +315,7 @@ def interrupt(_: float) -> None:
     raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell's exit codes")
 def test_a_script_that_does_not_guard_its_start_is_told_so(tmp_path):
     script = tmp_path / "script.py"

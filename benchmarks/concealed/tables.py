@@ -168,10 +168,10 @@ def markdown(result: dict[str, Any], title: str) -> str:
     lines += ["| | |", "|---|---|", *(f"| {text} | {_share(result[key])} |" for key, text in LINES)]
     lines += [f"| verdict right, {kind} | {_share(count)} |" for kind, count in result["verdict_right"].items()]
     lines += [f"| named, {band} | {_share(count)} |" for band, count in result["named_by_detectability"].items()]
-    lines.append(f"| size of the classes named | {_spread(result['class_size'], percent=False)} |")
     lines += [
         f"| {text} | mean {result[key]['mean']:.3g} ({result[key]['of']}) |"
         for key, text in (
+            ("class_size", "size of the classes named"),
             ("credit", "names, 1/n in a class of n"),
             ("place_classes", "classes of places reported"),
             ("places", "places in them"),

@@ -10,7 +10,7 @@ from typing import Any
 
 from rotorsim.block import Param
 
-BANDWIDTH: Any = Param(2e4, unit="rad/s", above=0.0, doc="frequency w of the observer of the acceleration")
+BANDWIDTH: Any = Param(1e5, unit="rad/s", above=0.0, doc="frequency w of the observer of the acceleration")
 
 
 def acceleration(velocity: Any, estimate: Any, trend: Any, bandwidth: Any) -> tuple[Any, dict[str, Any]]:

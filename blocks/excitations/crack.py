@@ -52,6 +52,8 @@ class Crack(Block):
         ),
         Fault(
             physics="second_crack",
+            # opposite to the first and as deep: one that is always open; where the first has no depth: it has moved
+            holds=("open_crack", "crack_location"),
             enters="force",
             options={"opening": "switching"},
             free={"stiffness": (1e5,), "phase": plane.ANGLES},

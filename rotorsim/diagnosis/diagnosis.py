@@ -13,13 +13,14 @@ from rotorsim.diagnosis.conclude.disturbance import disturbed
 from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, taken_twice
 from rotorsim.diagnosis.conclude.shares import Explained, explanations, residual_of
 from rotorsim.diagnosis.conclude.unknown_force import UnknownForce
-from rotorsim.diagnosis.conclude.validation import Proof, is_faint, material_effects, prove, prove_by_error
+from rotorsim.diagnosis.conclude.validation import Proof, contradicts, is_faint, material_effects, prove, prove_by_error
 from rotorsim.diagnosis.conclude.wording import next_experiment, statement
 from rotorsim.diagnosis.evidence.disturbance import is_unpredicted
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.evidence.open import Opened, open_evidence
-from rotorsim.diagnosis.search.selection import Selection, select_effects, without_effects
+from rotorsim.diagnosis.search.selection import Selection, select_effects, with_faint, without_effects
+from rotorsim.diagnosis.search.work import Work
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.jobs import Jobs, local_workers
@@ -88,7 +89,7 @@ def _diagnosed(
             break
         evidence, selection = quieter, select_effects(base, quieter, opened.catalogue, jobs, selection)
     with one_thread():
-        diagnosis = _concluded(replace(opened, evidence=evidence, base=base), selection)
+        diagnosis = _concluded(replace(opened, evidence=evidence, base=base), selection, jobs)
     recordings = (recording, *(() if hold_out is None else (hold_out,)))
     diagnosis = replace(
         diagnosis, recordings=recordings, warnings=(*diagnosis.warnings, *verdicts.conventions(diagnosis.effects))
@@ -156,19 +157,21 @@ def _judged(opened: Opened, selection: Selection) -> _Judged:
     """Return a selection without what hold-out runs do not show, and the verdict that follows."""
     evidence, validation, converters = opened.evidence, opened.evidence.validation, opened.converters
     proof: Proof | None = None
-    faint = False
+    faint = contradicted = False
     if validation is not None:
+        contradicted = validation.held_out and contradicts(selection.base, validation.score(selection.base))
+        selection = with_faint(selection) if contradicted and not selection.chosen else selection
         selection = material_effects(selection, validation.score)
         if (selection.chosen or converters) and selection.explains:
             left = 0.0 if selection.explained else max(1 - selection.share, 0.0)
             scores = validation.score(selection.base), validation.score(selection.fit)
-            grows = validation.held_out and any(item.insertion.grows for item in selection.chosen)
-            proof = prove_by_error(*scores) if grows else prove(*scores, left=left, held=validation.held_out)
+            grows = any(item.insertion.grows for item in selection.chosen)
+            proof = prove(*scores, left=left, held=validation.held_out, drifting=grows, converters=bool(converters))
         faint = is_faint(selection.base, validation.score(selection.base)) and not validation.is_force(selection.base)
     elif opened.held_out and not evidence.independent and selection.chosen and selection.explains:
         proof = prove_by_error(evidence.score(selection.base), evidence.score(selection.fit))
     disproved = proof is not None and proof.status == "disproved"
-    if faint and (disproved or not selection.explains):
+    if (faint or contradicted) and (disproved or not selection.explains):
         selection = without_effects(selection)
     effects = verdicts.effects_of(selection)
     verdict = verdicts.verdict_of(
@@ -178,6 +181,7 @@ def _judged(opened: Opened, selection: Selection) -> _Judged:
         disproved=disproved,
         converters=bool(converters),
         faint=faint,
+        contradicted=contradicted,
     )
     if verdict == "consistent" and evidence.structure(selection.fit):
         verdict = "outside_catalogue"
@@ -203,12 +207,12 @@ def _repaired(opened: Opened, judged: _Judged, unknown: UnknownForce | None) -> 
     return quieter, quieter.at(before), quieter.fit(after.document, [[after.values]])
 
 
-def _concluded(opened: Opened, selection: Selection) -> Diagnosis:
+def _concluded(opened: Opened, selection: Selection, jobs: Jobs) -> Diagnosis:
     """Return the diagnosis without its words."""
     validation, converters = opened.evidence.validation, opened.converters
     judged = _judged(opened, selection)
     selection, effects, verdict, proof = judged.selection, judged.effects, judged.verdict, judged.proof
-    unknown = verdicts.unknown_of(selection, effects, opened.evidence) if judged.outside else None
+    unknown = verdicts.unknown_of(selection, effects, Work(opened.evidence, jobs)) if judged.outside else None
     evidence, before, after = _repaired(opened, judged, unknown)
     if not judged.outside and after is not selection.fit:
         effects = tuple(replace(item, candidate=replace(item.candidate, fit=after)) for item in effects)

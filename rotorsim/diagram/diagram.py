@@ -128,7 +128,7 @@ class Free:
 
     base: the parameter without index; entry: which of its values, row-major. value: where the search starts
     (SI). low, high: physical bounds. prior_mean, prior_std: of a normal prior, None without one. scale: a typical size,
-    0 where nothing says one.
+    0 where nothing says one. series: see `rotorsim.block.Param`.
     """
 
     name: str
@@ -141,6 +141,7 @@ class Free:
     prior_mean: float | None = None
     prior_std: float | None = None
     scale: float = 0.0
+    series: bool = False
 
 
 @dataclass(frozen=True, eq=False)

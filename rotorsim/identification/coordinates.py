@@ -13,20 +13,29 @@ from rotorsim.settled.equations import Equations, instants
 ANGLE_UNIT = "rad"
 PROBES = (0.4, 1.9)
 TURN_INSTANTS = 64  # of a turn, at which the forcing is compared
+RIGID_FROM = 1e6  # times its usual size, a part in series is rigid: it shows a millionth of what it then shows
 
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """theta (m,) <-> q (m,): q = theta / scale, but (a cos phi, a sin phi) / scale for pairs (amplitude, angle)."""
+    """theta (m,) <-> q (m,): q = theta / scale, but (a cos phi, a sin phi) / scale for pairs (amplitude, angle).
+
+    Of what is in series (m,), q = theta / (theta + scale): the response to a stiffness k of a support is
+    (a + b k) / (c + d k), nearly linear in the compliance 1 / k where that is small, so that no step in k leads from a
+    rigid support back to a soft one.
+    """
 
     scale: np.ndarray
     pairs: tuple[tuple[int, int], ...]
     low: np.ndarray
     high: np.ndarray
+    series: tuple[int, ...] = ()
 
     def inside(self, theta: np.ndarray) -> np.ndarray:
         """Return q of theta."""
         q = theta / self.scale
+        for j in self.series:
+            q[j] = self._of_series(j, theta[j])
         for a, b in self.pairs:
             q[a], q[b] = (theta[a] / self.scale[a]) * np.array([np.cos(theta[b]), np.sin(theta[b])])
         return np.asarray(q)
@@ -34,6 +43,8 @@ class Coordinates:
     def outside(self, q: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
         """Return theta of q; angles within half a turn of ``near``, else of zero."""
         theta = q * self.scale
+        for j in self.series:
+            theta[j] /= 1 - q[j]
         for a, b in self.pairs:
             theta[a] = min(np.hypot(q[a], q[b]) * self.scale[a], self.high[a])
             theta[b] = np.arctan2(q[b], q[a])
@@ -44,6 +55,8 @@ class Coordinates:
     def jacobian(self, theta: np.ndarray) -> np.ndarray:
         """Return dtheta/dq (m, m)."""
         J = np.diag(self.scale.copy())
+        for j in self.series:
+            J[j, j] = (theta[j] + self.scale[j]) ** 2 / self.scale[j]
         for a, b in self.pairs:
             c, s = np.cos(theta[b]), np.sin(theta[b])
             amplitude = max(abs(theta[a]), 1e-12 * self.scale[a])
@@ -55,9 +68,22 @@ class Coordinates:
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of q; those of a pair hold its largest amplitude, which cannot be negative."""
         low, high = self.low / self.scale, self.high / self.scale
+        for j in self.series:
+            stiffest = min(self.high[j], RIGID_FROM * self.scale[j])
+            low[j], high[j] = self._of_series(j, self.low[j]), self._of_series(j, stiffest)
         for a, b in self.pairs:
             low[[a, b]], high[[a, b]] = -high[a], high[a]
         return low, high
+
+    def moved(self, value: float, j: int, step: float) -> float:
+        """Return a value of parameter j after a step in q; of a part in series 0 to infinity, where it is rigid."""
+        if j not in self.series:
+            return value + step * float(self.scale[j])
+        at = max(self._of_series(j, value) + step, 0.0)
+        return float(at * self.scale[j] / (1 - at)) if at < 1 else np.inf
+
+    def _of_series(self, j: int, value: float) -> float:
+        return float(value / (value + self.scale[j]))
 
     def at_bound(self, q: np.ndarray, near: float) -> np.ndarray:
         """Return which parameters (m,) are at a bound, or as near as that in q."""
@@ -82,7 +108,8 @@ def coordinates_of(
         scale[b] = 1.0
     for a, b in pairs:
         scale[b] = scale[a]
-    return Coordinates(scale, pairs, low, high)
+    series = tuple(j for j, item in enumerate(free) if item.series and low[j] >= 0)
+    return Coordinates(scale, pairs, low, high, series)
 
 
 def _scale(free: Free) -> float:

@@ -27,8 +27,6 @@ from rotorsim.units import compatible
 SPEED_MISMATCH = 0.02  # stated against measured
 FORCING_INSTANTS = (0.137, 1.137, 0.618, 1.618)  # instants, in turns, at which forcing is compared one turn apart
 
-RESOLUTION = 1e-6  # of a signal's rms: no measuring chain is better, and no settled model either
-
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
@@ -37,8 +35,7 @@ class Experiment:
     free: the m free parameters that the measured signals can depend on. predicted: flat names of measured outputs
     of the model; given: flat names of measured signals that the model takes as inputs (the loop is opened there).
     order_of: columns of each fit in the order [predicted, given]. p (R, n_p); motion: the settled motion of
-    the runs. use_mean (c + V,): False where the mean of a channel means nothing. resolution: of a signal's rms, what
-    neither its measurement nor the model can be trusted to; it counts as noise of every harmonic.
+    the runs. use_mean (c + V,): False where the mean of a channel means nothing.
     """
 
     diagram: Diagram
@@ -52,7 +49,6 @@ class Experiment:
     p: np.ndarray
     motion: SettledMotion
     use_mean: np.ndarray
-    resolution: float = RESOLUTION
 
     @property
     def beside_orders(self) -> np.ndarray:
@@ -107,7 +103,6 @@ def open_experiment(
     free: Sequence[Free] | None = None,
     harmonics: Sequence[RunHarmonics] | None = None,
     drop: Sequence[str] = (),
-    resolution: float = RESOLUTION,
 ) -> Experiment:
     """Return the measured harmonics of runs (default: those to identify from) beside the model of the diagram.
 
@@ -172,7 +167,7 @@ def open_experiment(
         measured = measured_harmonics(found, columns[:, : len(predicted)], K)
         motion = NonlinearMotion(equations, p, speeds, K, windows, phase, torus, measured=measured)
     return Experiment(
-        diagram, recording, model, kept, tuple(predicted), tuple(taken), found, columns, p, motion, use_mean, resolution
+        diagram, recording, model, kept, tuple(predicted), tuple(taken), found, columns, p, motion, use_mean
     )
 
 

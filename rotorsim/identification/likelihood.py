@@ -106,7 +106,7 @@ class Likelihood:
         self.keep = np.flatnonzero(keep.ravel())
         self.is_beside = self.keep >= (2 * self.K + 1) * (self.c + self.V)  # which rows of a run are of such lines
         self.whiteners = [
-            whitener_of(fit, columns, self.K, self.keep, experiment.resolution, beside=self.beside > 0)
+            whitener_of(fit, columns, self.K, self.keep, beside=self.beside > 0)
             for fit, columns in zip(experiment.fits, experiment.columns, strict=True)
         ]
         self.data_rows = self.white(real_columns(self.data[..., None]))[..., 0]
@@ -221,7 +221,7 @@ class Likelihood:
     def white_at(self, r: int, order: int, values: np.ndarray) -> np.ndarray:
         """Return complex columns (c, m) at one order of run r, `whitened_at`; from K + 1 on lines beside."""
         columns = self.experiment.columns[r][: self.c]
-        return whitened_at(self.experiment.fits[r], columns, self.K, order, values, self.experiment.resolution)
+        return whitened_at(self.experiment.fits[r], columns, self.K, order, values)
 
     def _turned(self, Y: np.ndarray) -> np.ndarray:
         """Return the factors (R, orders) that turn lines beside the harmonics to the phase at which they were met."""

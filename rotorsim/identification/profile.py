@@ -50,19 +50,22 @@ def linear_intervals(search: Search, estimate: Estimate) -> np.ndarray:
     low, high = search.coordinates.low, search.coordinates.high
     half = Z90 * estimate.std
     intervals = np.column_stack([np.maximum(estimate.theta - half, low), np.minimum(estimate.theta + half, high)])
-    q = search.coordinates.inside(estimate.theta)
+    for k in search.coordinates.series:  # in q, of which the response is nearly linear
+        width = Z90 * estimate.std[k] / search.coordinates.jacobian(estimate.theta)[k, k]
+        ends = [search.coordinates.moved(estimate.theta[k], k, step) for step in (-width, width)]
+        intervals[k] = np.clip(ends, low[k], high[k])
+    q, limits = search.coordinates.inside(estimate.theta), search.coordinates.bounds
     if not estimate.at_bound.any():
         return intervals
     r, J = search.residual(q), search.jacobian(q)
     base, _, _ = np.linalg.svd(_units(J[:, ~estimate.at_bound]), full_matrices=False)
     for j in np.flatnonzero(estimate.at_bound):
-        scale = search.coordinates.scale[j]
-        below = estimate.theta[j] - low[j] <= high[j] - estimate.theta[j]
+        below = q[j] - limits[0][j] <= limits[1][j] - q[j]
         own = (1.0 if below else -1.0) * (J[:, j] - base @ (base.T @ J[:, j]))
         h, b = float(own @ own), max(float(own @ r), 0.0)
         # x = (sqrt(b^2 + h 2.71) - b) / h, without its difference of large numbers
-        rise = Z90**2 / (b + np.sqrt(b**2 + h * Z90**2)) * scale if h > 0 or b > 0 else np.inf
-        end = estimate.theta[j] + (rise if below else -rise)
+        rise = Z90**2 / (b + np.sqrt(b**2 + h * Z90**2)) if h > 0 or b > 0 else np.inf
+        end = search.coordinates.moved(estimate.theta[j], int(j), rise if below else -rise)
         intervals[j] = (low[j], min(end, high[j])) if below else (max(end, low[j]), high[j])
     return intervals
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.identification.estimate import Estimate, Search
-from rotorsim.identification.experiment import RESOLUTION
 from rotorsim.identification.regression import Regression
 from rotorsim.identification.whitening import noise_root
 from rotorsim.signals.covariance import complex_values
@@ -38,7 +37,7 @@ def scatter_of(regression: Regression, search: Search, result: Estimate) -> Scat
     random = np.random.default_rng(0)
     measured = regression.data
     pairs = zip(regression.experiment.fits, regression.experiment.columns, strict=True)
-    roots = [noise_root(fit, columns, regression.K, RESOLUTION) for fit, columns in pairs]
+    roots = [noise_root(fit, columns, regression.K) for fit, columns in pairs]
     jacobian = search.coordinates.jacobian(result.theta)
     at_hand = regression.evaluate(result.theta)
     estimates = np.empty((DRAWS, len(result.theta)))

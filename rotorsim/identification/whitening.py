@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
 from rotorsim.signals.covariance import scaled_cholesky
-from rotorsim.signals.harmonic_fit import HarmonicFit
+from rotorsim.signals.harmonic_fit import RESOLUTION, HarmonicFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,31 +30,27 @@ class Whitener:
         return np.concatenate([upper, self.matrix[half:, :last] @ rows])
 
 
-def whitener_of(
-    fit: HarmonicFit, columns: np.ndarray, K: int, keep: np.ndarray, resolution: float, *, beside: bool
-) -> Whitener:
+def whitener_of(fit: HarmonicFit, columns: np.ndarray, K: int, keep: np.ndarray, *, beside: bool) -> Whitener:
     """Return what whitens harmonics 0..K of some channels, as harmonics of time, and lines beside; known delay."""
-    return Whitener(_inverse_root(fit, tuple(columns.tolist()), K, tuple(keep.tolist()), resolution, beside), keep)
+    return Whitener(_inverse_root(fit, tuple(columns.tolist()), K, tuple(keep.tolist()), beside), keep)
 
 
 @lru_cache(maxsize=64)
 def _inverse_root(
-    fit: HarmonicFit, columns: tuple[int, ...], K: int, keep: tuple[int, ...], resolution: float, beside: bool
+    fit: HarmonicFit, columns: tuple[int, ...], K: int, keep: tuple[int, ...], beside: bool
 ) -> np.ndarray:
-    covariance = fit.covariance_at(np.array(columns), range(K + 1), resolution, stamp=False)
+    covariance = fit.covariance_at(np.array(columns), range(K + 1), RESOLUTION, stamp=False)
     if fit.speed < 0:
         sign = np.ones((2 * K + 1, len(columns)))
         sign[2::2] = -1
         covariance = covariance * np.outer(sign.ravel(), sign.ravel())
     if beside:
-        covariance = block_diag(covariance, fit.covariance_beside(np.array(columns), resolution))
+        covariance = block_diag(covariance, fit.covariance_beside(np.array(columns), RESOLUTION))
     kept = np.array(keep)
     return _whitened(covariance[np.ix_(kept, kept)], np.eye(len(kept)))
 
 
-def whitened_at(
-    fit: HarmonicFit, columns: np.ndarray, K: int, order: int, values: np.ndarray, resolution: float
-) -> np.ndarray:
+def whitened_at(fit: HarmonicFit, columns: np.ndarray, K: int, order: int, values: np.ndarray) -> np.ndarray:
     """Return complex columns (c, m) at one order as whitened real rows (2 c, m), other orders ignored.
 
     order: from K + 1 on the lines beside the harmonics.
@@ -62,15 +58,15 @@ def whitened_at(
     if order > K:
         size = 2 * len(columns)
         part = slice(size * (order - K - 1), size * (order - K))
-        covariance = fit.covariance_beside(columns, resolution)[part, part]
+        covariance = fit.covariance_beside(columns, RESOLUTION)[part, part]
     else:
-        covariance = fit.covariance_at(columns, [order], resolution)
+        covariance = fit.covariance_at(columns, [order], RESOLUTION)
     return _whitened(covariance, np.concatenate([values.real, values.imag]))
 
 
-def noise_root(fit: HarmonicFit, columns: np.ndarray, K: int, resolution: float) -> np.ndarray:
+def noise_root(fit: HarmonicFit, columns: np.ndarray, K: int) -> np.ndarray:
     """Return a root of the covariance of the real harmonics 0..K of some channels."""
-    scale, factor = scaled_cholesky(fit.covariance_at(columns, range(K + 1), resolution))
+    scale, factor = scaled_cholesky(fit.covariance_at(columns, range(K + 1), RESOLUTION))
     return np.asarray(scale[:, None] * factor)
 
 

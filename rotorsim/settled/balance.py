@@ -22,6 +22,8 @@ from scipy.linalg.lapack import dgetrf as getrf
 MOST_NEWTON_STEPS = 60  # where a law has corners, as dry friction that nearly sticks, most of them are short
 SMALLEST_LENGTH = 2.0**-6  # part of a Newton step
 STALLED_RESIDUAL = 1e-9  # relative residual, below which rounding may keep it from falling
+CHORD = 0.25  # of the residual, that a step with an earlier system may leave: six decades in ten steps, else a new one
+NEAR = 1e-2  # relative residual, below which the linear system of an earlier motion is tried
 SHARES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 1.0)  # of a law, in steps, where Newton's method fails at once
 
 
@@ -67,9 +69,12 @@ class Balance:
         near, far = (relative_size(self.residual(one)[0], one) for one in (linear, C))
         return np.where((near < far)[:, None, None], linear, C)
 
-    def solve(self, start: np.ndarray, tolerance: float, *, grow: bool) -> Solution:
-        """Return the solution from a start (R, H+1, S); grow: where Newton's method fails, let g grow from nothing."""
-        first = self.newton(start, tolerance)
+    def solve(self, start: np.ndarray, tolerance: float, *, grow: bool, known: Tangent | None = None) -> Solution:
+        """Return the solution from a start (R, H+1, S); grow: where Newton's method fails, let g grow from nothing.
+
+        known: the linear system about a motion nearby.
+        """
+        first = self.newton(start, tolerance, known=known)
         if first.settled.all() or not grow:
             return first
         linear = self.base[:, :, self.S]
@@ -87,22 +92,33 @@ class Balance:
             reason=first.reason,
         )
 
-    def newton(self, C: np.ndarray, tolerance: float, share: float = 1.0) -> Solution:
-        """Return where Newton's method gets from C, its steps shortened until the residual falls; share: of g."""
+    def newton(self, C: np.ndarray, tolerance: float, share: float = 1.0, known: Tangent | None = None) -> Solution:
+        """Return where Newton's method gets from C, its steps shortened until the residual falls; share: of g.
+
+        A linear system is kept as long as the residual falls to CHORD of itself, since most of what it costs is its
+        making. known: one to begin with, if C is near.
+        """
         residual, forces = self.residual(C, share)
-        settled = relative_size(residual, C) <= tolerance
+        size = relative_size(residual, C)
+        settled = size <= tolerance
+        tangent = known if known is not None and known.G.shape[:3] == C.shape and (size <= NEAR).all() else None
         reason = f"not done after {MOST_NEWTON_STEPS} Newton steps"
         for step in range(MOST_NEWTON_STEPS + 1):
             if settled.all() or step == MOST_NEWTON_STEPS:
                 break
+            fresh = tangent is None
             try:
-                delta = self.tangent(C, share).solve(residual[..., None])[..., 0]
+                tangent = self.tangent(C, share) if tangent is None else tangent
+                delta = tangent.solve(residual[..., None])[..., 0]
             except np.linalg.LinAlgError:
+                if not fresh:
+                    tangent = None
+                    continue
                 reason = "Newton's equations are singular: a fold or a branching of the motion"
                 break
             length = np.where(settled, 0.0, 1.0)
             before = relative_size(residual, C)
-            while True:
+            while fresh:
                 new = C - length[:, None, None] * delta
                 trial, trial_forces = self.residual(new, share)
                 falls = (relative_size(trial, new) < (1 - 0.1 * length) * before) | (before <= STALLED_RESIDUAL)
@@ -110,8 +126,19 @@ class Balance:
                 if not worse.any():
                     break
                 length[worse] /= 2
+            if not fresh:
+                new = C - length[:, None, None] * delta
+                trial, trial_forces = self.residual(new, share)
+                if (settled | (relative_size(trial, new) <= CHORD * before)).all():
+                    C, residual, forces = new, trial, trial_forces
+                    settled = settled | (relative_size(residual, C) <= tolerance)
+                else:
+                    tangent = None
+                continue
             small = (relative_size(delta, C) <= tolerance) & (length == 1.0)
             C, residual, forces = new, trial, trial_forces
+            if not (settled | (relative_size(residual, C) <= CHORD * before)).all():
+                tangent = None
             stuck = (length <= SMALLEST_LENGTH) & ~settled
             settled = settled | small | (relative_size(residual, C) <= tolerance)
             if (stuck | settled).all() and not settled.all():

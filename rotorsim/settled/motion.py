@@ -51,27 +51,16 @@ class Prediction:
 class FreshMeans:
     """Slow states of one run that start with it: their places (k,), means (k,) and d mean / d theta (k, m).
 
-    count: of all slow states of the run. Each is a constant and a part that decays with a rate [1/s], whose Legendre
-    coefficients over the run, of degree 0 to 2, are decaying (k, 3). by_rates (k, m), by_decaying (k, 3, m):
-    derivatives.
+    count: of all slow states of the run. states (k,): the same places among all states. laws (k, 3): x_0, f and a of
+    x' = f - a x.
     """
 
     count: int
     places: np.ndarray
     values: np.ndarray
     jacobian: np.ndarray
-    rates: np.ndarray
-    by_rates: np.ndarray
-    decaying: np.ndarray
-    by_decaying: np.ndarray
-
-    @classmethod
-    def none(cls, count: int, m: int, places: Sequence[int] | np.ndarray = ()) -> FreshMeans:
-        """Return slow states at some places that are zero throughout; m: the number of parameters."""
-        k = len(places)
-        values, by_theta, decaying = np.zeros(k), np.zeros((k, m)), np.zeros((k, 3))
-        further = values.copy(), by_theta.copy(), decaying, np.zeros((k, 3, m))
-        return cls(count, np.array(places, int), values, by_theta, *further)
+    states: np.ndarray
+    laws: np.ndarray
 
     def start(self, near: np.ndarray | None) -> np.ndarray:
         """Return means (count,) to begin with: those known, the others as they were before, or zero."""
@@ -131,10 +120,6 @@ class SettledMotion(ABC):
     @abstractmethod
     def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
         """Return the means that are known of the slow states of each run: of those that start with it."""
-
-    def decaying(self, rates: np.ndarray) -> SettledMotion:
-        """Return the motion whose orders answer to what decays with rates (R,) [1/s]."""
-        raise NotImplementedError("a linear diagram has no state that starts with the run")
 
     @abstractmethod
     def growth(self, theta: np.ndarray) -> np.ndarray:
@@ -260,7 +245,9 @@ class LinearMotion(SettledMotion):
 
     def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
         """Return that no mean is known: the data say how far each has come."""
-        return [FreshMeans.none(len(slow), len(theta)) for slow in self.slow_states(theta)]
+        none = np.zeros(0, int)
+        nothing = none, np.zeros(0), np.zeros((0, len(theta))), none, np.zeros((0, 3))
+        return [FreshMeans(len(slow), *nothing) for slow in self.slow_states(theta)]
 
     def growth(self, theta: np.ndarray) -> np.ndarray:
         """Return the largest real part of an eigenvalue of A of every run, (R,)."""

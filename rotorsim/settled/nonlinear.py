@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ive
 
-from rotorsim.settled.balance import Balance, harmonics_of, samples_of
+from rotorsim.settled.balance import Balance, Tangent, harmonics_of, samples_of
 from rotorsim.settled.equations import Equations, PortEquations
 from rotorsim.settled.floquet import growth_rate
 from rotorsim.settled.laws import Pair, by_parameters, column_of
@@ -31,11 +30,9 @@ class NonlinearMotion(SettledMotion):
     """The settled motion of a nonlinear diagram; each solution is the start of the next.
 
     measured (R, K+1, c): harmonics of the outputs as they were measured; the first solution may start with these.
-    shift (R,): rate [1/s] with which all of it decays, see `decaying`.
     """
 
     measured: np.ndarray | None = None
-    shift: np.ndarray | None = None
 
     is_linear = False
     corrections = 4
@@ -52,6 +49,7 @@ class NonlinearMotion(SettledMotion):
         self.times = self.start[:, None] + step[:, None] * np.arange(self.count)
         self._p = np.repeat(self.p, self.count, 0).T
         self.ports: Ports | None = None
+        self.tangent: Tangent | None = None  # about the last motion
 
     def sharpen(self) -> bool:
         """Take SHARP_ORDERS more orders from now on: for laws with corners, where it matters."""
@@ -66,10 +64,6 @@ class NonlinearMotion(SettledMotion):
     def elsewhere(self, p: np.ndarray, speeds: np.ndarray, K: int, r: int, beside: Torus | None) -> NonlinearMotion:
         """Return the motion of other runs, which were not measured; see `SettledMotion`."""
         return replace(super().elsewhere(p, speeds, K, r, beside), measured=None)
-
-    def decaying(self, rates: np.ndarray) -> NonlinearMotion:
-        """Return the motion whose orders answer to what decays with rates (R,) [1/s]: at i k W - rate, for i k W."""
-        return replace(self, measured=None, shift=rates)
 
     def reading(self, equations: Equations) -> NonlinearMotion:
         """Return the motion with other outputs, which were not measured."""
@@ -91,7 +85,7 @@ class NonlinearMotion(SettledMotion):
         X, settled = balance.base, np.ones(len(self.p), bool)
         if len(balance.S):
             start = self._start(balance, theta) if self.last is None else balance.nearer(self.last)
-            solution = balance.solve(start, BALANCE_TOLERANCE, grow=self.last is None)
+            solution = balance.solve(start, BALANCE_TOLERANCE, grow=self.last is None, known=self.tangent)
             X, settled = balance.states(solution), solution.settled
             X[~settled] = np.nan
         C = X[:, :, balance.S]
@@ -135,32 +129,27 @@ class NonlinearMotion(SettledMotion):
     def fresh_means(self, theta: np.ndarray) -> list[FreshMeans]:
         """Return the means of slow states that start with the run.
 
-        x' = f - a x from x_0 on has over a window T the mean x_0 g + f T (1 - g) / u,  g = (1 - e^-u) / u,  u = a T,
-        and what decays of it the Legendre coefficients (x_0 u - f T) l_n,
-        l_n = (2 n + 1) (-1)^n e^{-u/2} i_n(u / 2) / u;  i_n: modified spherical Bessel functions of the first kind.
+        x' = f - a x from x_0 on has over a window T the mean x_0 g + f T (1 - g) / u,  g = (1 - e^-u) / u,  u = a T.
         """
         self.opened(theta)
         equations, whole = self.equations, self.equations.whole
         x_0 = equations.model.x0(equations.model.p0)[equations.kept]
         every = []
         for r, (slow, T) in enumerate(zip(self.slow, self.windows, strict=True)):
-            known = FreshMeans.none(len(slow), len(theta), np.flatnonzero(equations.means[slow] == FRESH))
-            for k, state in enumerate(slow[known.places]):
+            places = np.flatnonzero(equations.means[slow] == FRESH)
+            values, jacobian = np.zeros(len(places)), np.zeros((len(places), len(theta)))
+            laws = np.zeros((len(places), 3))
+            for k, state in enumerate(slow[places]):
                 x = np.zeros((equations.n, 2))
                 x[state, 1] = 1.0
                 point = self.times[r, :1], x, self.p[r], theta
                 f, df = whole.f(*point)[:, state, 0], whole.f_theta(*point)[:, state]
                 u, du = (f[0] - f[1]) * T, (df[0] - df[1]) * T
                 g, rest = _settling(u)
-                known.values[k] = x_0[state] * g[0] + f[0] * T * rest[0]
-                known.jacobian[k] = (x_0[state] * g[1] + f[0] * T * rest[1]) * du + df[0] * T * rest[0]
-                far, by_far = x_0[state] * u - f[0] * T, x_0[state] * du - df[0] * T
-                known.rates[k], known.by_rates[k] = u / T, du / T
-                for n in range(3):
-                    part, by_part = _decay(u, n)
-                    known.decaying[k, n] = far * part
-                    known.by_decaying[k, n] = by_far * part + far * by_part * du
-            every.append(known)
+                values[k] = x_0[state] * g[0] + f[0] * T * rest[0]
+                jacobian[k] = (x_0[state] * g[1] + f[0] * T * rest[1]) * du + df[0] * T * rest[0]
+                laws[k] = x_0[state], f[0], u / T
+            every.append(FreshMeans(len(slow), places, values, jacobian, slow[places], laws))
         return every
 
     def growth(self, theta: np.ndarray) -> np.ndarray:
@@ -168,11 +157,17 @@ class NonlinearMotion(SettledMotion):
         rates = np.full(len(self.p), -np.inf)
         if self.last is None or self.ports is None:
             return rates
-        X = np.zeros((*self.last.shape[:2], self.equations.n), complex)
-        X[:, :, self.ports.columns[self.inner.places[1]]] = self.last
+        X = self.nonlinear_states(self.last)
         for r, speed in enumerate(np.abs(self.speeds)):
             rates[r] = growth_rate(self.equations.whole, float(speed), self.p[r], X[r], theta, float(self.start[r]))
         return rates
+
+    def nonlinear_states(self, last: np.ndarray) -> np.ndarray:
+        """Return harmonics (R, H+1, n) of states: of those that enter nonlinearly, last (R, H+1, S), others zero."""
+        assert self.ports is not None
+        X = np.zeros((*last.shape[:2], self.equations.n), complex)
+        X[:, :, self.ports.columns[self.inner.places[1]]] = last
+        return X
 
     def opened(self, theta: np.ndarray) -> Ports:
         """Return the ports of all that no parameter and no nonlinear law moves, seen at the first theta (m,)."""
@@ -204,8 +199,6 @@ class NonlinearMotion(SettledMotion):
                     moved.append(_side_by_side(whole.B(*point)))
             changed.append(_side_by_side(change))
         s = 1j * np.abs(self.speeds)[:, None] * np.arange(self.H + 1)
-        if self.shift is not None:
-            s = s - self.shift[:, None]
         self.ports = open_ports(A, s, self.slow, changing, moved, changed)
         self.inner: PortEquations = self.equations.at_ports(self.ports.rows, self.ports.columns)
         return self.ports
@@ -270,6 +263,7 @@ class NonlinearMotion(SettledMotion):
         points = self._points(x, theta)
         C = inner.C(*points).reshape(R, count, inner.c, inner.n)
         tangent = balance.tangent(safe[:, :, balance.S]) if len(balance.S) else None
+        self.tangent = tangent if settled.all() else None
 
         def outputs(moved: np.ndarray, direct: np.ndarray | float = 0.0) -> np.ndarray:
             """Return harmonics of outputs (R, K+1, c, j) where states would move by (R, H+1, n, j) without the law."""
@@ -319,22 +313,3 @@ def _settling(u: float) -> tuple[tuple[float, float], tuple[float, float]]:
     dg = (np.exp(-u) - g) / u
     rest = (1 - g) / u
     return (g, dg), (rest, -(dg + rest) / u)
-
-
-def _decay(u: float, n: int) -> tuple[float, float]:
-    """Return (2 n + 1) (-1)^n e^{-u/2} i_n(u / 2) / u of degree n = 0, 1 or 2, and its derivative by u."""
-    if abs(u) < 1e-3 and n:  # three terms of the series: 1e-9
-        if n == 1:
-            return -1 / 2 + u / 4 - 3 * u**2 / 40, 1 / 4 - 3 * u / 20
-        return u / 12 - u**2 / 24 + u**3 / 84, 1 / 12 - u / 12 + u**2 / 28
-    u = np.copysign(max(abs(u), 1e-6), u)
-    z, sign = u / 2, (2 * n + 1) * (-1) ** n
-    size, above = (_scaled_bessel(k, z) for k in (n, n + 1))
-    slope = above + (n / z - 1) * size  # of e^-z i_n
-    return sign * size / u, sign * (slope / 2 - size / u) / u
-
-
-def _scaled_bessel(n: int, z: float) -> float:
-    """Return e^-z i_n(z)."""
-    size = abs(z)
-    return float(np.sqrt(np.pi / (2 * size)) * ive(n + 0.5, size) * np.sign(z) ** n * np.exp(size - z))

@@ -72,6 +72,8 @@ def find_asynchronous(recording: Recording, runs: Sequence[RunHarmonics]) -> Asy
         for _ in range(4):
             nu = _refined(nu, recording, runs)
             fitted = {item.run.id: item for item in with_asynchronous(recording, runs, nu)[0]}
+            if not fitted:  # its lines are at harmonics in every run
+                return None
             hidden = _shown(nu, list(fitted.values()))
             again = [fitted.get(item.run.id, item) for item in runs]
             less = [(new.fit.residual < LESS * old.fit.residual).any() for new, old in zip(again, runs, strict=True)]

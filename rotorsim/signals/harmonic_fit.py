@@ -25,6 +25,7 @@ OWN_PLACE = 0.5  # of the resolution, from which on a steady line has columns of
 NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
 LOUD = 2.5  # times the noise, for lines of samples that differ in what they tell: those may follow the motion a little
 SLACK = 3.0  # times the rms of the curvature of a turn: what it says of the angle is then a quarter of what is known
+RESOLUTION = 1e-6  # of a signal's rms: no measuring chain is better, and no settled model either
 FIT_ROUNDING = 1e-10  # of a signal's rms: residual of numbers of seven to sixteen digits and of the fit itself
 
 

@@ -106,7 +106,7 @@ def _channels(recording: Recording, run: Run) -> list[Channel]:
 def contradictions(runs: Sequence[RunHarmonics]) -> list[Problem]:
     """Return warnings of runs whose harmonics and pulses contradict one another."""
     what = "its harmonics turn otherwise than its pulses say, by more than these leave open"
-    hint = "do the pulses and the signals have one clock? is the speed steady?"
+    hint = "do the pulses and the signals have one clock? is the speed steady? does the shaft warm up (1X drifts)?"
     return [
         Problem(what, f"run {item.run.id}", item.run.place, hint, severity="warning")
         for item in runs

@@ -19,13 +19,13 @@ from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.harmonic_basis import harmonic_basis
+from rotorsim.signals.harmonic_fit import RESOLUTION
 from rotorsim.signals.harmonics import RunHarmonics, harmonics_of
 from rotorsim.signals.lines import Line
 
 CHANGED = 10.0  # distance, in standard deviations of the noise, by which steps must change the harmonics of all runs
 UNEVEN = 0.02  # of a step, by which readings may miss their level: they are written with few digits
 KNOWN = 1e-6  # of a step, to which it is known at best: no converter is better calibrated
-HARMONIC_RESOLUTION = 1e-6  # of a signal's rms, that harmonics cannot be trusted to
 TELLING = 3.0  # times as many samples that tell something as the motion takes: less tell nothing of the noise
 BARELY = 1 / 3  # of a step: standard deviation of harmonics of which the readings tell no more
 SIMULATED = 4  # recordings by which the covariance is widened
@@ -258,5 +258,5 @@ def _changed(old: RunHarmonics, new: RunHarmonics, name: str) -> float:
     """Return the square of the change of a channel's harmonics in one run, in variances of their noise."""
     column = np.array([old.fit.names.index(name)])
     change = real_vector((new.fit.values - old.fit.values)[:, column])
-    covariance = old.fit.covariance_at(column, range(len(old.fit.orders)), HARMONIC_RESOLUTION)
+    covariance = old.fit.covariance_at(column, range(len(old.fit.orders)), RESOLUTION)
     return float(change @ np.linalg.solve(covariance, change))

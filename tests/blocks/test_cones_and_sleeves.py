@@ -47,6 +47,7 @@ def test_a_cone_of_equal_ends_is_a_cylinder(phi: float) -> None:
         assert np.array(one) == pytest.approx(np.array(other), rel=1e-12, abs=1e-12 * np.abs(other).max())
 
 
+@pytest.mark.slow
 def test_a_cone_in_parts_tapers_over_all_of_them() -> None:
     cone = {"conical_elements": [2], "subdivisions": 2}
     ends = {"end_outer_diameter": [0.08], "end_inner_diameter": [0.03]}
@@ -86,6 +87,7 @@ def test_two_halves_of_a_material_are_the_whole() -> None:
     assert same(a_matrix(whole), a_matrix(halves))
 
 
+@pytest.mark.slow
 def test_a_conical_sleeve_is_the_rest_of_a_cone() -> None:
     """Without shear, a cylinder with a sleeve around it that tapers is a cone with a bore of the cylinder, filled."""
     sizes = {"outer_diameter": [0.05, 0.03, 0.05], "inner_diameter": [0.0, 0.02, 0.0]}
@@ -251,6 +253,7 @@ def test_steps_of_cylinders_become_the_cone() -> None:
     assert missed[0] / missed[1] == pytest.approx(4.0, rel=0.15)
 
 
+@pytest.mark.slow
 def test_cones_and_sleeves_of_a_drawing_are_those_of_the_rotor_of_nodes() -> None:
     lengths, ends = [0.1, 0.2, 0.15], [0.0, 0.1, 0.3, 0.45]
     shape = {"end_outer_diameter": [0.08, 0.05], "end_inner_diameter": [0.03, 0.0]}

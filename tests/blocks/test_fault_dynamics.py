@@ -153,20 +153,20 @@ def test_a_foundation_is_what_a_rigid_bearing_lacks(shape: tuple[int, ...]) -> N
 
 @pytest.mark.parametrize("shape", [(), (2,)])
 def test_a_mass_error_is_a_mass_below_the_frequency_of_its_observer(shape: tuple[int, ...]) -> None:
-    w = 2e4
-    block = prepare("mass_error", {"velocity": shape}, {"mass": 0.3, "bandwidth": w})
+    w = 1e5
+    block = prepare("mass_error", {"velocity": shape}, {"mass": 0.3})
     ratio = force_on_motion(block, BAND) / (0.3 * BAND**2)
     s = 1j * BAND / w
     np.testing.assert_allclose(ratio, (1 + np.sqrt(2) * s) / (1 + np.sqrt(2) * s + s**2), rtol=1e-9)
-    at = force_on_motion(block, 2 * pi * np.array([100.0, 500.0])) / (0.3 * (2 * pi * np.array([100.0, 500.0])) ** 2)
-    assert np.abs(at - 1) == pytest.approx([0.001, 0.025], rel=0.05)  # as its page says
-    assert (np.abs(np.angle(at)) < [1e-4, 6e-3]).all()
+    at = force_on_motion(block, 2 * pi * np.array([500.0, 1000.0])) / (0.3 * (2 * pi * np.array([500.0, 1000.0])) ** 2)
+    assert np.abs(at - 1) == pytest.approx([0.001, 0.004], rel=0.05)  # as its page says
+    assert (np.abs(np.angle(at)) < [1e-4, 4e-4]).all()
 
 
 @pytest.mark.parametrize("part", [-0.3, 0.1, 0.5])
 def test_rk4_holds_a_mass_error_with_the_step_that_its_page_says(part: float) -> None:
     """Eigenvalues of a free mass with the block, times 2 / w, inside the region of stability of RK4."""
-    w = 2e4
+    w = 1e5
     A, B, C, D = state_space_of(prepare("mass_error", {"velocity": ()}, {"mass": part}), "velocity", "force")
     loop = np.block([[D, C], [B, A]])  # v' = force of a mass of 1
     z = np.linalg.eigvals(loop) * 2 / w

@@ -21,6 +21,7 @@ from rotorsim.fault import Course, Dominant, Fault, Lines, Longest, Of, Onset, S
 from rotorsim.identification.waveform.driven.equations import driven_equations
 from rotorsim.model.load import load
 from rotorsim.simulation.run import simulate
+from rotorsim.simulation.stable_step import stable_steps
 
 # every effect that a rotor model commonly leaves out and that can be named
 CATALOGUE = {
@@ -265,20 +266,24 @@ def put_in(document: dict[str, Any], cls: type[Block], fault: Fault) -> list[str
     return [f"fault.{port}" for port in cls.outputs]
 
 
-def run(document: dict[str, Any], record: list[str], use_compiler: bool = False) -> Any:
+def run(
+    document: dict[str, Any], record: list[str], use_compiler: bool = False, steps: dict[str, Any] | None = None
+) -> Any:
     document["record"] = ["rotor.displacement", *record]
     step = document["solver"]["step"].replace("0.1 ms", "50 us")  # RK4 bears a delay T up to 0.81 T: here 81 us
     document["solver"] = {**document["solver"], "step": step, "stop": "50 ms" if use_compiler else "10 ms"}
     document.pop("layout", None)
     document.pop("identify", None)
+    document["solver"] |= stable_steps(load(document)) if steps is None else steps
     result = simulate(load(document), use_compiler=use_compiler)
     assert result.status == "finished"
     return result
 
 
 @cache
-def base_of(text: str, compiled: bool) -> np.ndarray:
-    return np.asarray(run(json.loads(text), [], compiled)["rotor.displacement"])
+def base_of(text: str, compiled: bool, step: Any, every: int) -> np.ndarray:
+    steps = {"step": step, "record_every": every}
+    return np.asarray(run(json.loads(text), [], compiled, steps)["rotor.displacement"])
 
 
 @pytest.mark.parametrize(  # every way of a fault in; compiled the first of its block
@@ -298,9 +303,9 @@ def base_of(text: str, compiled: bool) -> np.ndarray:
 )
 def test_a_fault_runs_in_a_diagram_and_changes_it(cls: type[Block], fault: Fault, compiled: bool) -> None:
     document = diagram_of(fault)
-    base = base_of(json.dumps(document), compiled)
-    extra = put_in(document, cls, fault)
-    result = run(document, extra, compiled)
+    text, extra = json.dumps(document), put_in(document, cls, fault)
+    result, solver = run(document, extra, compiled), document["solver"]
+    base = base_of(text, compiled, solver["step"], solver.get("record_every", 1))
     for name in ("rotor.displacement", *extra):
         assert np.isfinite(result[name]).all(), name
     if fault.enters == "reading":
@@ -340,6 +345,7 @@ def test_a_force_on_what_moves_in_a_line_runs(name: str) -> None:
     wires += [[f"{port}.output", f"fault.{port}"] for port in ("displacement", "velocity") if port in cls.inputs]
     solver = {"method": "rk4", "step": "0.1 ms", "stop": "50 ms"}
     document = {"schema_version": 1, "name": "line", "blocks": blocks, "wires": wires, "solver": solver}
+    document["solver"] = {**solver, **stable_steps(load(document))}
     result = simulate(load({**document, "record": ["displacement.output", "fault.force"]}))
     assert result.status == "finished"
     assert np.shape(result["displacement.output"]) == (501,)

@@ -87,6 +87,7 @@ def test_a_pinned_timoshenko_shaft_has_the_frequencies_of_the_timoshenko_beam():
     assert errors[1][0] < 1e-5
 
 
+@pytest.mark.slow
 def test_shaft_gyroscopic_moments_split_the_pinned_rayleigh_beam():
     """rho A w^2 + rho I b^2 (w^2 - 2 W w) = E I b^4 for forward whirl of mode b = k pi / L."""
     d, speed = 0.05, 2000.0

@@ -217,6 +217,7 @@ def test_a_disc_by_dimensions_is_the_difference_of_two_solid_cylinders():
         assert cylinder(RHO, *size) == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_discs_by_dimensions_are_discs_of_their_mass_and_inertias():
     _, mass, polar, diametral = zip(*discs_by_hand(), strict=True)
     values = {"disc_mass": mass, "disc_polar_inertia": polar, "disc_diametral_inertia": diametral}

@@ -154,6 +154,7 @@ def test_a_recording_that_does_not_go_with_the_diagram(run: Run, healthy: str):
     )
 
 
+@pytest.mark.slow
 def test_without_a_tacho(run: Run, healthy: str):
     name = copied(healthy, "still", lambda content: [entry.pop("tacho") for entry in content["runs"]])
     result = run("diagnose", "jeffcott", name)

@@ -8,6 +8,7 @@ import pytest
 from tests.cli.conftest import Run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["png", "svg"])
 def test_a_shaft_is_drawn_into_a_file(run: Run, tmp_path: Path, suffix: str):
     file = tmp_path / f"shaft.{suffix}"

@@ -44,6 +44,7 @@ def test_identify_prints_parameters_scores_and_a_statement(run: Run, bench: str)
     )
 
 
+@pytest.mark.slow
 def test_identify_writes_a_folder(run: Run, bench: str):
     with undrawn():
         result = run("identify", "oscillator.json", bench, "--out", "found", "--json")

@@ -173,6 +173,7 @@ def test_a_coarse_step_is_warned_of(run) -> None:
     assert "warning" not in run("run", "jeffcott", "--step", "0.2 ms").stderr
 
 
+@pytest.mark.slow
 def test_run_says_speed_window_and_whether_the_motion_has_settled(run) -> None:
     # the pole of the integral action, -0.0721 1/s, has 70 % of its way still to go after 5 s
     data = json.loads(run("run", "jeffcott", "--json").stdout)["motion"]

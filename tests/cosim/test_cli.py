@@ -39,6 +39,7 @@ def test_what_it_says(run: Run) -> None:
     assert data["units"]["rotor.displacement"] == "m"
 
 
+@pytest.mark.slow
 def test_the_recorded_signals_are_drawn(run) -> None:
     done = run("cosim", "jeffcott", *PART, "--step", "0.1 ms", "--stop", "10 ms", "--plot", "both.svg")
     assert (done.exit_code, done.stderr) == (0, "written: both.svg\n")

@@ -47,6 +47,7 @@ def output(found: Result) -> np.ndarray:
     return found[name]
 
 
+@pytest.mark.slow
 def test_a_step_too_large_for_a_fast_pole_is_not_finished(folder: Path) -> None:
     # RK4 is stable for x' = -k x up to 2.785293563 / k = 0.557 ms
     found = run(folder, 1e-3, 0.1)

@@ -37,13 +37,13 @@ def test_what_is_missing_is_named_and_nothing_where_nothing_is(case, named):
     assert found.verdict == ("missing_physics" if named else "consistent")
 
 
-def _hidden(folder, row):
-    """Return the numbers of an effect in a machine of seed 5, and its diagnosis by what lines may call for."""
+def _hidden(folder, row, physics=LINES):
+    """Return the numbers of an effect in a machine of seed 5, and its diagnosis by some laws, those of lines."""
     sets.make(sets.plan(folder, 1, 5, "one", "fe_flexible", (row,)), 1)
     [case] = [file.parent for file in folder.glob("*/recording.json")]
     truth = json.loads((folder / "truth" / f"{case.name}.json").read_text())["effect"]
     held = load_any(folder / "hold_out" / case.name)
-    return truth, diagnose(load("fe_flexible"), load_any(case), hold_out=held, physics=LINES, workers=2)
+    return truth, diagnose(load("fe_flexible"), load_any(case), hold_out=held, physics=physics, workers=2)
 
 
 @pytest.mark.slow
@@ -72,3 +72,16 @@ def test_ground_that_shakes_a_whole_beam_is_named_and_measured(tmp_path):
     for key, of in off.items():
         j = names.index(f"base_excitation.{key}")
         assert abs(of(theta[j])) < 4 * found.after.std(j)
+
+
+@pytest.mark.slow
+def test_a_mass_is_one_up_to_the_highest_mode_and_a_support_is_found_again(tmp_path):
+    """FAULT: it fell short by 4 % at 640 Hz, and supports stayed rigid: hold-out runs disproved the right law."""
+    truth, found = _hidden(tmp_path, "mass_error", ("mass_error", "support_stiffness", "sensor_gain"))
+    [effect] = found.effects
+    assert (effect.physics, found.proof.status) == ("mass_error", "proved")
+    j = [item.name for item in found.after.free].index("mass_error.mass")
+    assert abs(found.after.theta[j] - truth["dm"]) < 4 * found.after.std(j)
+    assert found.score_after.total < 1.05 * found.score_after.noise
+    stiff = [value for name, value in found.after.values.items() if name.startswith("support_")]
+    assert max(stiff) < 1e10

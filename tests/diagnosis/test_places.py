@@ -145,11 +145,7 @@ def test_a_strong_force_leaves_noise_beside_means_of_slow_states():
 def dropped(source: HarmonicEvidence, base: Fit, names: list[str]) -> tuple[Search, np.ndarray]:
     """Return the fit of the diagram without some channels, and where it begins."""
     experiment = open_experiment(
-        source.load(values_in(base.document, base.values)),
-        source.recording,
-        harmonics=source.harmonics,
-        drop=names,
-        resolution=source.open(source.load(base.document)).resolution,
+        source.load(values_in(base.document, base.values)), source.recording, harmonics=source.harmonics, drop=names
     )
     search = Search(Likelihood(experiment))
     return search, search.coordinates.inside(experiment.theta0)

@@ -6,22 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.conclude.verdict import effect_of, rejected_of, unfinished, verdict_of
 from rotorsim.diagnosis.evidence.evidence import Terms
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.search.candidates import SAME, Candidate, Round, simplest_first
-from rotorsim.diagnosis.search.idle import nested, simplified
-from rotorsim.diagnosis.search.selection import (
-    _completed,
-    _level,
-    _margin,
-    _reconsidered,
-    _selected,
-    _simplified,
-    least_gain,
-)
+from rotorsim.diagnosis.search.selection import _completed, _level, _margin, _reconsidered, _selected, least_gain
+from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.diagram.diagram import Free
+from rotorsim.jobs.jobs import Jobs
 from tests.diagnosis.test_verdicts import ROWS, left, named, selection
 
 
@@ -38,6 +32,7 @@ def candidate(
         free=(),
         depends_on="",
         smoothed=(),
+        grows=False,
         fault=SimpleNamespace(confused_with=alike, special_cases=(), enters="force"),
     )
     return SimpleNamespace(
@@ -50,9 +45,8 @@ def chosen(*tried: SimpleNamespace) -> list[str]:
     order = tuple(sorted(tried, key=lambda item: item.fit.criterion))
     trials = SimpleNamespace(
         round=lambda before: Round(before, order),
-        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
+        evidence=SimpleNamespace(with_drift=lambda: None),
         counts={},
-        nominal={},
         slack=0.0,
         completed=lambda found, physics, law, every=False: found,
     )
@@ -65,15 +59,6 @@ def chosen(*tried: SimpleNamespace) -> list[str]:
 )
 def test_what_is_left_is_noise_or_not_worth_a_name(times, goodness, adequate):
     assert is_adequate(replace(left(times), goodness=goodness)) is adequate
-
-
-def test_a_parameter_at_its_bound_makes_a_law_unphysical_but_not_one_of_the_diagram():
-    found = law({"bow.amplitude": (0.0, 0.1), "damping": (1.0, 0.1)})
-    insertion = SimpleNamespace(free=("bow.amplitude",), fault=SimpleNamespace(sizes=(), simpler={}))
-    item = Candidate(insertion, replace(found, at_bound=np.array([True, False])))
-    assert not item.physical
-    assert replace(item, fit=replace(found, at_bound=np.array([False, True]))).physical
-    assert Round(found, (item,)).best is None
 
 
 @pytest.mark.parametrize(("more", "members"), [(9.9, {"rub", "clearance"}), (10.1, {"rub"})])
@@ -118,14 +103,16 @@ def test_a_false_alarm_has_the_probability_of_one_percent_whatever_is_tried():
 
 def test_meshes_may_be_wrong_by_a_tenth_of_the_equations():
     base = Fit({}, misfit=1000.0, rows=ROWS - 20, equations=ROWS, goodness=0.5)
+    beams, machines = (SimpleNamespace(refines_meshes=lambda document, of=of: of) for of in (True, False))
+    slack, none = (Trials(evidence, Catalogue(), Jobs(1), base=base).slack for evidence in (beams, machines))
+    assert (slack, none) == (98.0, 0.0)
     for gain, found in ((104.0, []), (105.0, ["rub"])):  # 98 and chi-squared of one unknown, 1 %: 6.6
         item = candidate("rub", 1000.0 - gain, 1)
         trials = SimpleNamespace(
             round=lambda before, item=item: Round(before, (item,)),
-            evidence=SimpleNamespace(refines_meshes=lambda document: True, with_drift=lambda: None),
+            evidence=SimpleNamespace(with_drift=lambda: None),
             counts={},
-            nominal={},
-            slack=0.0,
+            slack=slack,
             completed=lambda found, physics, law, every=False: found,
         )
         assert [item.insertion.physics for item in _selected(trials, base).chosen] == found
@@ -149,9 +136,8 @@ def test_another_effect_must_explain_nine_tenths_of_what_is_left(second, goodnes
         item.fit = replace(item.fit, rows=ROWS, goodness=0.0 if item is first else goodness)
     trials = SimpleNamespace(
         round=lambda before: rounds.get(before.misfit, Round(before, ())),
-        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
+        evidence=SimpleNamespace(with_drift=lambda: None),
         counts={},
-        nominal={},
         slack=0.0,
         completed=lambda found, physics, law, every=False: found,
         refitted=lambda *_: (),
@@ -187,9 +173,8 @@ def test_a_pair_of_which_one_hides_the_other_is_begun_anew_with_its_second():
 
     trials = SimpleNamespace(
         round=searched,
-        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
+        evidence=SimpleNamespace(with_drift=lambda: None),
         counts={},
-        nominal={},
         slack=0.0,
         completed=lambda found, physics, law, every=False: found,
         refitted=lambda base, effects, near: (alone,) if [*effects] == [stop] else (),
@@ -214,9 +199,8 @@ def test_several_effects_that_leave_noise_by_another_measure_of_it_are_not_searc
 
     trials = SimpleNamespace(
         round=searched,
-        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
+        evidence=SimpleNamespace(with_drift=lambda: None),
         counts={},
-        nominal={},
         slack=0.0,
         completed=lambda found, physics, law, every=False: found,
         refitted=lambda base, effects, near: {2: (mode, gain), 1: (mode,)}[len(effects)] if mode in effects else (),
@@ -258,7 +242,7 @@ def test_rivals_are_compared_with_what_was_found_beside_them_at_last():
 
     trials = SimpleNamespace(
         round=lambda before: Round(before, (gain,)),
-        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
+        evidence=SimpleNamespace(with_drift=lambda: None),
         counts={},
         slack=0.0,
         completed=completed,
@@ -320,141 +304,6 @@ def test_what_was_not_fitted_to_the_end_is_not_rejected():
     )
 
 
-def free(name: str, unit: str = "N", low: float = 0.0) -> Free:
-    return Free(name, "", 0, 1.0, unit, low, np.inf)
-
-
-def law(sizes: dict[str, tuple[float, float]]) -> Fit:
-    """Return a fit with parameters {name: (value, standard deviation)}; angles are in rad."""
-    items = tuple(free(name, "rad", -np.inf) if "phase" in name else free(name) for name in sizes)
-    theta, stds = np.array(list(sizes.values())).T
-    document = {"blocks": {"law": {"parameters": {}}}, "identify": {name: {} for name in sizes}}
-    return Fit(document, items, theta, np.diag(stds**2), np.zeros(len(items), bool), 1000.0, ROWS, ROWS, goodness=0.5)
-
-
-def test_parameters_that_the_data_do_not_tell_from_zero_are_dropped_with_their_angles():
-    sizes = {
-        "law.amplitude1": (3.0, 0.1),
-        "law.phase1": (0.3, 0.1),
-        "law.amplitude2": (0.1, 0.2),
-        "law.phase2": (1.0, 2.0),
-        "law.backward2": (0.39, 0.2),
-        "law.backward_phase2": (1.0, 0.5),
-        "law.amplitude0": (0.41, 0.2),
-    }
-    asked = []
-
-    def refitted(document, starts):
-        left = {name: sizes[name] for name in document["identify"]}
-        asked.append(set(sizes) - set(left))
-        return replace(law(left), misfit=1000.0 + (3.0 if len(left) < 5 else 2.0))
-
-    item = SimpleNamespace(insertion=SimpleNamespace(free=tuple(sizes)), fit=law(sizes))
-    [found] = _simplified(SimpleNamespace(evidence=SimpleNamespace(fit=refitted)), (item,))
-    assert set(found.fit.values) == {"law.amplitude1", "law.phase1", "law.amplitude0"}
-    assert asked[0] == {"law.amplitude2", "law.phase2"}  # the least told first
-    assert found.insertion is item.insertion
-
-
-def test_a_law_keeps_its_only_parameter():
-    item = SimpleNamespace(insertion=SimpleNamespace(free=("law.amplitude1",)), fit=law({"law.amplitude1": (0.1, 0.2)}))
-    assert _simplified(SimpleNamespace(evidence=None), (item,)) == (item,)
-
-
-@pytest.mark.parametrize(("without", "physical"), [(1002.8, True), (1002.6, False), (None, True)])
-def test_a_size_that_the_data_leave_open_is_not_zero_where_nothing_explains_as_much_without(without, physical):
-    """FAULT: cross-talk of a speed into a pressure was rejected: with six parameters free it was 1.8e7 +- 1.6e10.
-
-    Without it the misfit rises, by more than 1.645^2 = 2.71.
-    """
-    sizes = {"law.linear": (1.8, 1600.0)}
-    fault = SimpleNamespace(sizes=("linear",), simpler={}, enters="signal")
-    item = SimpleNamespace(free=("law.linear",), spot=Spot("a", "b"), key="talk", fault=fault)
-    refitted = Fit({}, failure="it diverges") if without is None else Fit({}, misfit=without)
-    tried = Candidate(item, law(sizes))
-    assert not tried.physical
-    found = simplified(SimpleNamespace(fit=lambda document, starts: refitted), Round(left(50.0), (tried,)), 0.0)
-    assert found.tried[0].physical is physical
-    adequate = Round(left(1.0), (tried,))
-    assert simplified(SimpleNamespace(), adequate, 0.0) is adequate  # beside noise it would be chance
-
-
-def test_a_law_does_not_lose_by_a_parameter_that_it_does_not_need():
-    """FAULT: a square beside an idle cube lost against a gain that depends on another signal, by log(2000) = 7.6."""
-    sizes = {"law.quadratic": (3.0, 0.1), "law.cubic": (0.1, 0.2)}
-    evidence = SimpleNamespace(
-        fit=lambda document, starts: replace(
-            law({k: v for k, v in sizes.items() if k in document["identify"]}), misfit=1000.2
-        )
-    )
-    square = Candidate(
-        SimpleNamespace(
-            free=tuple(sizes),
-            physics="square",
-            spot=Spot("a", "b"),
-            depends_on="",
-            key="square",
-            fault=SimpleNamespace(sizes=(), simpler={}, special_cases=("parabola",), enters="signal"),
-        ),
-        law(sizes),
-    )
-    gain = candidate("gain", 1000.0, 1, nuisances=0)
-    found = simplified(evidence, Round(left(50.0), (gain, square)), 0.0)
-    [less] = [item for item in found.tried if item.insertion is square.insertion]
-    assert [*less.fit.values] == ["law.quadratic"]
-    assert less.fit.criterion - gain.fit.criterion == pytest.approx(0.2)
-    unexplained = Round(left(50.0), (replace(square, fit=replace(square.fit, misfit=5e3, goodness=0.0)),))
-    assert simplified(evidence, unexplained, 0.0) is unexplained  # what is idle now another effect may wake
-    parabola = candidate("parabola", 1000.2, 1, nuisances=0)  # FAULT: a drift without a rate was named beside an offset
-    parabola.insertion.spot = square.insertion.spot
-    kept = simplified(evidence, Round(left(50.0), (parabola, square)), 0.0)
-    assert [item.fit for item in kept.tried] == [parabola.fit, square.fit]
-    bow = replace(square, insertion=SimpleNamespace(**vars(square.insertion)))  # FAULT: a misalignment without its
-    bow.insertion.fault = SimpleNamespace(**{**vars(square.insertion.fault), "enters": "force"})  # second order: a bow
-    assert simplified(evidence, Round(left(50.0), (gain, bow)), 0.0).tried[1].fit is bow.fit
-    parabola.insertion.spot = Spot("a", "c")
-    assert simplified(evidence, Round(left(50.0), (parabola, square)), 0.0).tried[1].fit is not square.fit
-
-
-@pytest.mark.parametrize(
-    ("share", "criterion", "meant"),
-    [((1.0006, 0.0008), -9.0, "play"), ((1.01, 0.0008), 1.0, "play"), ((1.01, 0.0008), -9.0, "hysteresis")],
-)
-def test_a_law_gives_way_to_a_case_of_it_once_both_are_as_exact_as_the_data_ask(share, criterion, meant):
-    """FAULT: a lag of 0.8 samples made a share of 1.0046 +- 0.002 of what was a play, and both were named."""
-
-    def memory(physics: str, cases: tuple[str, ...], simpler: dict, fit: Fit, block: str = "controller") -> Candidate:
-        spot = Spot(block, "output")
-        fault = SimpleNamespace(special_cases=cases, simpler=simpler, sizes=(), enters="signal")
-        names = tuple(name for name in fit.values if name.startswith(physics))
-        own = {"depends_on": "", "law": physics, "smoothed": ("t",), "fault": fault}
-        return Candidate(SimpleNamespace(physics=physics, spot=spot, key=f"{physics}@{spot}", free=names, **own), fit)
-
-    case = memory("play", (), {}, law({"play.width": (4.27, 0.01)}))
-    wide = law({"hysteresis.share": (1.0046, 0.002), "hysteresis.width": (4.28, 0.01)})
-    wider = memory("hysteresis", ("play",), {"share": (1.0, "play")}, replace(wide, misfit=980.0))
-    shorter = law({"hysteresis.share": share, "hysteresis.width": (4.31, 0.001)})
-    shorter = replace(shorter, misfit=1000.0 - np.log(ROWS) + criterion)
-
-    def sharpened(fit: Fit, laws: list) -> tuple[None, Fit]:
-        return None, shorter if laws[0].physics == "hysteresis" else fit
-
-    there = replace(wider, insertion=memory("hysteresis", ("play",), {}, wider.fit, "valve").insertion)
-    case_there = replace(case, insertion=memory("play", (), {}, case.fit, "valve").insertion)
-    found = Round(left(50.0), (wider, case, there, case_there))
-    after, chosen = nested(SimpleNamespace(sharpened=sharpened), found, wider, 0.0)
-    assert chosen.insertion.physics == meant
-    assert chosen.fit in (wider.fit, case.fit)  # as approximate as what is fitted beside it
-    assert [after.of(item).fit.misfit for item in (wider, there)] == [1000.0 if meant == "play" else 980.0] * 2
-    if meant == "play":  # FAULT: only one place of the play was sharpened, so that the right one was not listed
-        effect = effect_of(chosen, after, 0.0)
-        assert effect.members == {"play": 1.0}
-        assert {spot.block for spot in effect.spots} == {"controller", "valve"}
-    with_noise_left = replace(case, fit=replace(case.fit, misfit=5e3, goodness=0.0))
-    untouched = Round(left(50.0), (wider, with_noise_left))
-    assert nested(SimpleNamespace(), untouched, wider, 0.0) == (untouched, wider)
-
-
 def test_a_rejection_is_void_once_another_effect_is_in():
     """A bow alone explained nothing beside the rub, which was not known yet; with the rub, it is the simpler law."""
     base = Fit({}, misfit=5e5, rows=ROWS, equations=ROWS)
@@ -472,6 +321,34 @@ def test_a_rejection_is_void_once_another_effect_is_in():
     chosen, _ = _reconsidered(trials, base, (coupling, rub), rounds)
     assert again[0] == 2e5
     assert {item.insertion.physics for item in chosen} == {"residual_bow", "rub"}
+
+
+@pytest.mark.parametrize(("crack_misfit", "names"), [(970.0, "open_crack"), (2e3, "parallel_misalignment")])
+def test_a_look_alike_takes_the_place_of_an_effect_that_the_others_cannot_stand_without(crack_misfit, names):
+    """FAULT: an open crack, beside a spring that hardens, was called the misalignment that was found before that."""
+    base = Fit({}, misfit=5e9, rows=ROWS, equations=ROWS)
+    others = [candidate("parallel_misalignment", 3e4, 4, alike=("open_crack",)), candidate("open_crack", 3.5e4, 0)]
+    spring = candidate("cubic_stiffness", 970.0, 5)
+    both = (others[1], candidate("cubic_stiffness", crack_misfit, 1))
+    for item in (*others, spring, both[1]):
+        item.fit = replace(item.fit, at_bound=np.zeros(len(item.fit.free), bool))
+    alone, crack = (Candidate(item.insertion, item.fit) for item in others)
+    asked = []
+
+    def refitted(base: Fit, effects: list, near: Fit) -> tuple:
+        asked.append([item.insertion.physics for item in effects])
+        return both if crack in effects else ()
+
+    def tried(before: Fit) -> Round:
+        raise AssertionError("nothing can be tried beside what cannot be fitted")
+
+    trials = SimpleNamespace(round=tried, refitted=refitted, slack=0.0, evidence=None)
+    rounds = [Round(base, (alone, crack)), Round(alone.fit, (spring,))]
+    found, after = _reconsidered(trials, base, (alone, spring), rounds)
+    assert asked[:2] == [["cubic_stiffness"], ["open_crack", "cubic_stiffness"]]
+    assert names in [item.insertion.physics for item in found]
+    assert after[0].best.insertion.physics == names  # its round has both beside the others
+    assert len(found) == 2
 
 
 def replaced(item: SimpleNamespace, misfit: float, extra: int) -> SimpleNamespace:
@@ -533,7 +410,7 @@ def test_before_another_effect_is_looked_for_nothing_is_left_out_that_promises_a
 
     trials = SimpleNamespace(
         round=lambda before: Round(before, (mode,), untried=((delay.insertion, ({}, [])),)),
-        evidence=SimpleNamespace(refines_meshes=lambda document: False, with_drift=lambda: None),
+        evidence=SimpleNamespace(with_drift=lambda: None),
         counts={},
         slack=0.0,
         completed=completed,

@@ -136,6 +136,7 @@ def test_tests_are_the_circuits_of_a_generic_matrix(rows: dict[str, str]) -> Non
     assert set(found) == _circuits(rows)
 
 
+@pytest.mark.slow
 @settings(max_examples=75, deadline=None)
 @given(_models(), st.data())
 def test_isolability_is_that_of_generic_ranks(rows: dict[str, str], data: st.DataObject) -> None:

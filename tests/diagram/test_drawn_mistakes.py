@@ -170,6 +170,7 @@ def test_one_mistake_of_a_cone_or_sleeve_gives_one_message(parameters: dict[str,
     assert found[0].startswith(expected)
 
 
+@pytest.mark.slow
 def test_a_sleeve_on_a_cone_fits_where_the_cone_is_thin_enough() -> None:
     tapers = {"conical_sections": [2], "end_outer_diameter": "30 mm", **SLEEVE, "sleeve_begins": ["200 mm"]}
     load(drawn(**{**tapers, "sleeve_inner_diameter": "35 mm"}))

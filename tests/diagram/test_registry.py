@@ -73,6 +73,7 @@ def test_a_type_is_the_name_of_its_file() -> None:
         assert find(name) is None
 
 
+@pytest.mark.slow
 def test_only_the_files_in_use_are_imported() -> None:
     code = (
         "import sys, rotorsim; rotorsim.load('jeffcott');"

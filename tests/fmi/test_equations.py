@@ -296,6 +296,7 @@ def test_a_failure_at_the_end_is_one(plants: Path, method: str) -> None:
     assert (found.status, np.isfinite(found.signals["it.y"]).all()) == ("stopped", True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["dop853", "radau", "lsoda"])
 def test_what_was_computed_until_a_failure_is_kept(plants: Path, method: str) -> None:
     """Without events an adaptive method goes through the whole run at one stretch."""

@@ -285,6 +285,7 @@ def test_an_fmu_that_allows_one_instance_is_made_anew_and_that_is_said(plants: P
 # -- in the process of the command -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "code", "said"), [("leave_well", 1, "has left by exit()"), ("abort", -6, "has crashed")]
 )

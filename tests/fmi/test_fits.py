@@ -77,6 +77,7 @@ SAID = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", SAID)
 def test_a_trial_in_which_it_fails_is_no_end_of_the_fit(folder: Path, fault: str) -> None:
     """From there the first step of the search goes beyond 135 N/m, where the FMU fails: a shorter one is tried."""

@@ -1,5 +1,7 @@
 """Parameters at their bounds, or of which the data say nothing: they move again, and no interval is empty."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -149,3 +151,43 @@ def test_the_search_moves_off_a_bound():
     )
     search.coordinates, search.residual, search.jacobian = straight.coordinates, straight.residual, straight.jacobian
     assert search.minimise(np.array([0.1, 0.0])) == pytest.approx([0.3, 2.0], rel=1e-6)
+
+
+def test_what_is_in_series_is_sought_by_its_reciprocal():
+    """q = k / (k + k_0): a step in q is one in the compliance where k is large; above 1e6 k_0 it is rigid."""
+    support = Coordinates(np.array([5e8]), (), np.array([0.0]), np.array([np.inf]), (0,))
+    k = np.array([1e8, 5e8, 4e12])
+    q = np.array([support.inside(np.array([value]))[0] for value in k])
+    assert q == pytest.approx([1 / 6, 1 / 2, 4e12 / (4e12 + 5e8)], rel=1e-12)
+    assert [support.outside(np.array([at]))[0] for at in q] == pytest.approx(k.tolist(), rel=1e-9)
+    assert support.bounds[0].tolist() == [0.0]
+    assert 1 - support.bounds[1] == pytest.approx(1e-6, rel=1e-4)
+    step = 1e-7
+    slope = (support.outside(q[:1] + step) - support.outside(q[:1] - step)) / (2 * step)
+    assert support.jacobian(k[:1])[0] == pytest.approx(slope, rel=1e-6)
+    assert support.moved(5e8, 0, -0.25) == pytest.approx(5e8 / 3)
+    assert support.moved(5e14, 0, 1e-3) == np.inf
+
+
+def test_a_support_that_an_earlier_fit_made_rigid_is_soft_again():
+    """FAULT: in the stiffness itself nothing led back from there; k moved by nothing, and all others adapted."""
+    rigid = ["1e14 N/m", "5e13 N/m"]
+
+    def change(document):
+        document["blocks"]["support_left"]["parameters"]["stiffness"] = rigid
+
+    runs = made("fe_flexible", LOWER["fe_flexible"][::2], TRUTH, gains=THESIS_GAINS)
+    found = identify(changed("fe_flexible", change), recorded(runs), profile=False)
+    k = [found.parameters[f"support_left.stiffness[{axis}]"].value for axis in (1, 2)]
+    assert k == pytest.approx([455e6, 1010e6], rel=0.03)
+
+
+@pytest.mark.parametrize("q", [0.95, 1 - 1e-6])
+def test_a_support_that_may_be_rigid_has_an_interval_to_one_side(q):
+    """Its compliance is known to 0.1 / k_0: k is above the k of q less 1.64 of that, and may be infinite."""
+    search = Straight([[10.0]], [10.0 * q], [5e8], [0.0], [np.inf])
+    search.coordinates = replace(search.coordinates, series=(0,))
+    estimate = replace(search.found(np.array([q])), theta=search.coordinates.outside(np.array([q])))
+    [[low, high]] = linear_intervals(search, estimate)
+    lowest = q - 1.644854 * 0.1
+    assert (low, high) == (pytest.approx(5e8 * lowest / (1 - lowest), rel=1e-5), np.inf)

@@ -37,6 +37,7 @@ def off(result):
     return {n: abs(items[n].value - TRUTH[n]) / (items[n].interval90[1] - items[n].value) for n in TRUTH}
 
 
+@pytest.mark.slow
 def test_a_run_up_gives_parameters_and_slow_roll(diagram, runup, tmp_path):
     speed, _, vectors = runup
     result = identify(diagram, load_orders(write(tmp_path / "up", speed, noisy(vectors, SIGMA))))

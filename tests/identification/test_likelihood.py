@@ -264,6 +264,7 @@ def test_goodness_and_errors_under_noise(kind, draws):
     assert chi2.ppf(LEVEL, freedom) < misfit < chi2.isf(LEVEL, freedom)
 
 
+@pytest.mark.slow
 def test_many_channels_with_coloured_noise():
     """As above with 14 channels."""
     runs = [

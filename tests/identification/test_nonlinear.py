@@ -98,6 +98,7 @@ def test_the_truth_is_found():
     assert max(found.fit["identify"].values()) < 1e-5
 
 
+@pytest.mark.slow
 def test_slopes_are_exact():
     """Without slow states nothing is projected out, so that slopes are those of the residual itself."""
     likelihood = Likelihood(open_experiment(diagram(0.5), recording()))
@@ -111,6 +112,7 @@ def test_slopes_are_exact():
         assert np.abs(slope - here.jacobian[:, j]).max() < 1e-6 * np.abs(slope).max()
 
 
+@pytest.mark.slow
 def test_the_order_of_the_runs_does_not_matter():
     """All runs are balanced at once; none may lean on its neighbour."""
     forward = Likelihood(open_experiment(diagram(0.5), recorded(list(runs()))))

@@ -276,6 +276,7 @@ def test_parameters_that_are_one_number_are_not_identified():
         assert not found.parameters[name].verdict.identifiable
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("orders", "runs"), [((0,), 9), ((1,), 1)])
 def test_fewer_equations_than_parameters(orders, runs):
     """The mean says nothing about an eccentricity; one odd harmonic is explained by (-k_c, phase + pi) as well."""

@@ -179,6 +179,7 @@ def test_angles_are_judged_as_angles():
 # -- running -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_longer_study_resumes_from_the_store(tmp_path):
     store = tmp_path / "study.jsonl"
     short, long = (study(1140, 1500, noise=(0.0, 0.02), seeds=seeds) for seeds in (2, 4))

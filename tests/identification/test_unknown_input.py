@@ -334,6 +334,7 @@ def test_units_of_parameters_do_not_decide_what_can_be_told_of_them(unit):
     assert given.change[0] > 0.5  # from 2 towards 3
 
 
+@pytest.mark.slow
 def test_a_run_whose_beginning_shows_no_state_keeps_the_motion_that_was_simulated():
     """FAULT: a cylinder at rest shows nothing of its position at first; no filter was steady, and a ValueError came."""
     _, [run] = analysed(recorded(8, slow(9), 1), steps=0)

@@ -224,6 +224,7 @@ def test_all_intervals_at_once():
     assert joint_factor(np.ones((4, 4))) == pytest.approx(1.0, abs=0.08)
 
 
+@pytest.mark.slow
 def test_joint_intervals_hold_all_parameters(one_set):
     for item in one_set.parameters.values():
         assert isinstance(item, Identified)
@@ -318,6 +319,7 @@ def test_a_prior_is_one_more_measurement():
     assert after.interval90 == pytest.approx((after.value - Z90 * after.std, after.value + Z90 * after.std), rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_known_mass_settles_what_the_data_leave_open():
     """At one speed range and one set of gains, rotor.mass and the stiffness of the loop are one number."""
     recording = recorded(two_gains("jeffcott", LOWER["jeffcott"][::4], level=0.01))
@@ -376,6 +378,7 @@ def test_profile_interval_beside_a_bound():
     assert cut.interval90[1] == pytest.approx(whole.interval90[1], abs=1e-3 * whole.std)
 
 
+@pytest.mark.slow
 def test_profile_interval_of_a_parameter_at_its_bound():
     """The estimate is at the bound; the profile rises by 2.71 at a known place beyond it: (bound, that place).
 

@@ -63,6 +63,7 @@ def test_the_modes_of_a_free_beam_are_no_rounding():
     )
 
 
+@pytest.mark.slow
 def test_the_root_locus_of_a_free_beam_has_no_points_of_rounding():
     found = root_locus(load("drawn_rotor", without=FREE), "speed", [0.0, 100.0])
     assert found.zeros.tolist() == [12, 10]

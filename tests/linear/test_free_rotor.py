@@ -52,6 +52,7 @@ def test_a_rigid_rotor_on_two_springs(polar: float, conical: bool) -> None:
         assert found.speeds.shape[1] == 1
 
 
+@pytest.mark.slow
 def test_damping_changes_nothing() -> None:
     with_damping = critical_speed_map(load(stepped(1e6, damping=500.0)), stiffness=[1e6])
     assert with_damping.speeds == pytest.approx(

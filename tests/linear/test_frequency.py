@@ -73,6 +73,7 @@ def test_sampled_blocks_are_treated_exactly():
     assert found.stable
 
 
+@pytest.mark.slow
 def test_many_frequencies_of_a_beam_are_exact_to_1e10_from_the_slowest_to_the_fastest_pole():
     system = linearise(load("drawn_rotor"), inputs=("controller_a.current",), outputs=("rotor.displacement",))
     hz = np.geomspace(0.01, 2e6, MANY)

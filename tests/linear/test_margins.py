@@ -229,6 +229,7 @@ def test_zones(peak, zone):
     assert zone_of(peak) == zone
 
 
+@pytest.mark.slow
 def test_a_sampled_loop_around_an_undamped_plant() -> None:
     """Between hits the plant rings at a pole on the imaginary axis, where S is zero and a resolvent has no value.
 

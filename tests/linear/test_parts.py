@@ -56,6 +56,7 @@ def test_a_part_is_that_part_of_the_whole() -> None:
         np.testing.assert_allclose(one.value[:, 0, 0], whole.value[:, 0, 7], rtol=1e-9, atol=1e-19)
 
 
+@pytest.mark.slow
 def test_a_loop_that_is_open_at_one_entry_has_the_loop_gain_of_that_axis() -> None:
     """The others closed, as G_o = 1 / S - 1 has them."""
     drawn = load(two_ambs(), set={"speed": "9000 rpm"})
@@ -70,6 +71,7 @@ def test_a_loop_that_is_open_at_one_entry_has_the_loop_gain_of_that_axis() -> No
     assert abs(both.value[3, 1, 1] - opened.value[3, 0, 0]) > 1e-3  # the axes are coupled
 
 
+@pytest.mark.slow
 def test_the_loop_of_a_sampled_controller_opens_and_goes_to_that_of_the_continuous_one() -> None:
     port, errors = "controller_a.current[1]", []
     truth = frequency_response(load(two_ambs()), port, port, frequencies=HZ, open_loop=True).value

@@ -167,6 +167,7 @@ def test_coarse_resolution_is_neither_clipping_nor_a_stuck_converter(signal):
     assert flat_stretches(values) == []
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(signals, st.floats(0.3, 0.9))
 def test_clipping_is_found_where_it_cuts_more_than_the_resolution(signal, limit):

@@ -134,6 +134,7 @@ def test_a_library_for_another_processor_is_not_loaded(fresh_cache, monkeypatch)
     assert len([*fresh_cache.iterdir()]) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a shell script as compiler")
 @pytest.mark.parametrize("refused", ["-march=*", "-O*"], ids=["no such flag", "an assembler that is too old"])
 def test_a_compiler_that_cannot_use_all_instructions_is_used_without(fresh_cache, tmp_path, monkeypatch, refused):
@@ -146,6 +147,7 @@ def test_a_compiler_that_cannot_use_all_instructions_is_used_without(fresh_cache
     assert last() == (value, "compiled now)")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="owners and modes of POSIX")
 def test_a_library_that_others_could_have_written_is_not_loaded(fresh_cache, monkeypatch):
     last()

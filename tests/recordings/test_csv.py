@@ -189,6 +189,7 @@ def test_samples_that_are_not_finite_are_warned_of_with_their_place(tmp_path):
     ]
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(arrays(float, st.tuples(st.integers(1, 20), st.just(len(CHANNELS)))), st.sampled_from(",;\t"))
 def test_csv_keeps_every_number(tmp_path_factory, values, delimiter):

@@ -46,6 +46,7 @@ def test_columns_that_differ_in_length(tmp_path, name):
     assert refused(tmp_path / name, ["x", "y"]) == [f"data: error: columns differ in length: x 3, y 4\n\nhint: {hint}"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", READERS)
 def test_empty_and_damaged_files_end_with_a_message(tmp_path, ending):
     path = tmp_path / f"a{ending}"

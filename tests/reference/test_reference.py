@@ -24,6 +24,7 @@ def test_table_2_2_by_frequency_domain_and_transient() -> None:
             assert abs(math.degrees(np.angle(found[order] * turn))) <= 0.1, order
 
 
+@pytest.mark.slow
 def test_time_integration_equals_exact_solution() -> None:
     time = np.linspace(0.0, 0.3, 301)
     model = Jeffcott()

@@ -246,6 +246,7 @@ def test_spectra_show_measured_and_both_diagrams() -> None:
     assert axes.get_yscale() == "log"
 
 
+@pytest.mark.slow
 def test_curves_over_speed_go_through_what_the_diagram_says_at_the_runs() -> None:
     found = bowed()
     both = held_runs(found)

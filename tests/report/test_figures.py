@@ -96,6 +96,7 @@ def test_the_overview_shows_the_node_that_moves_most():
     assert made.axes[0].get_title("left") == f"rotor.displacement[{int(np.argmax(motion)) + 1}]"
 
 
+@pytest.mark.slow
 def test_every_panel_says_what_its_axes_are(result):
     for made in (overview(result), spectrum_figure(result, "controller.current")):
         for axes in made.axes:

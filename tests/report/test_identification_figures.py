@@ -155,6 +155,7 @@ def test_parameters_have_names_intervals_numbers_and_start_values(found, recordi
     assert float(number[0]) == pytest.approx(item.value * 1e6, abs=half * 1e6 / 10)
 
 
+@pytest.mark.slow
 def test_parameters_that_are_not_identified_are_grey(found):
     name = "eccentricity"
     item = replace(found.parameters[name], interval90=(-np.inf, np.inf))
@@ -229,6 +230,7 @@ def test_an_uncertain_shaft_angle_turns_harmonics_but_does_not_change_their_size
     assert after.noise == pytest.approx(before.noise)
 
 
+@pytest.mark.slow
 def test_spectra_show_measured_and_predicted_harmonics(compared):
     made = spectra_figure(compared)
     assert legend(made) == ["noise alone (95 %)", "model", "residual, model", "measured, 90 % interval"]

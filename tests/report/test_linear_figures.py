@@ -119,6 +119,7 @@ def periodic_of(orders: np.ndarray, stable: tuple[bool | None, ...] = (True, Fal
     return Periodic(speeds, orders, {"r.d": values.astype(complex)}, {"r.d": "m"}, status, stable, *np.zeros((2, 3)))
 
 
+@pytest.mark.slow
 def test_harmonics_over_speed_are_found_by_their_order(tmp_path):
     halves = periodic_of(np.arange(-2, 2.5, 0.5))  # a period of two turns: -2, -1.5, ... 2
     made = drawn(periodic_figure(halves, "r.d", orders=(1, 0.5, 7)), tmp_path / "p.png")

@@ -32,6 +32,7 @@ def test_an_identification_in_time_has_its_figures(found, tmp_path):
     assert names == ["parameters", "correlation", "simulated", "hold_out", "residual"]
 
 
+@pytest.mark.slow
 def test_titles_and_legends(found):
     figures = identification_figures(*found)
     assert figures["simulated"].get_suptitle() == "Fitted runs, oscillator identified from bench"

@@ -115,6 +115,7 @@ def test_a_co_simulation_is_told_with_what_the_coupling_does(at: Served, mine: P
     talk(talking)
 
 
+@pytest.mark.slow
 def test_what_was_measured_and_is_not_drawn_is_said(at: Served, mine: Path) -> None:
     """FAULT: a force in metres stood beside one in newtons; signals that the diagram lacks were left out in silence."""
     description = mine.parent / "bench" / "recording.json"
@@ -136,6 +137,7 @@ def test_what_was_measured_and_is_not_drawn_is_said(at: Served, mine: Path) -> N
     talk(talking)
 
 
+@pytest.mark.slow
 def test_runs_of_another_machine_are_not_drawn_beside_this_one(at: Served, mine: Path) -> None:
     """FAULT: runs with other gains, and those that turn the other way, stood beside the diagram as if they were its."""
     with chdir(mine.parent):

@@ -165,6 +165,7 @@ def test_the_deviation_is_the_least_that_is_possible():
     assert second.std == pytest.approx(least, rel=0.05)  # harmonics near by and the scatter of the noise: 1 %
 
 
+@pytest.mark.slow
 @DRAWN
 def test_amplitudes_are_right_within_their_noise(case, draws):
     lines, nu, *_ = CASES[case]
@@ -220,6 +221,13 @@ def test_runs_in_which_a_line_is_too_near_to_a_harmonic_are_lost():
         kept, lost = with_asynchronous(data, runs, second)
         assert lost == expected
         assert [item.run.id for item in kept] == [f"run{r}" for r in range(3 - len(expected))]
+
+
+def test_a_frequency_that_no_run_resolves_is_none(monkeypatch):
+    """FAULT: hum next to harmonics of all runs of a healthy beam ended its diagnosis with an error of min()."""
+    data, _ = made(LINES, seed=1)
+    monkeypatch.setattr(asynchronous, "with_asynchronous", lambda data, runs, nu: ((), [item.run.id for item in runs]))
+    assert find_asynchronous(data, harmonics_of(data)) is None
 
 
 # --- a shaft whose speed swings ---------------------------------------------------------------------------------------
@@ -370,6 +378,7 @@ def test_pulses_show_a_slow_swing_that_the_measured_angle_follows(swing, found):
         assert second.value == pytest.approx(nu, rel=0.05)
 
 
+@pytest.mark.slow
 def test_pulses_that_only_jitter_show_no_swing():
     """A false alarm in about one of a thousand machines: in 300, more than three have a probability of 0.03 %."""
     random = np.random.default_rng(6)

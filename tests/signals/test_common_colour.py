@@ -54,11 +54,13 @@ def test_a_run_with_other_noise_keeps_its_own():
     assert not any(item.fit.noise.white for item in runs[:5])
 
 
+@pytest.mark.slow
 def test_white_noise_stays_white():
     for seed in range(5):
         assert all(item.fit.noise.white for item in harmonics_of(made(seed, corners=(0.0,) * 6)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("times", "alike"), [(0.8, True), (1.2, False)])
 def test_noise_is_of_another_colour_once_in_a_thousand_recordings(times, alike):
     """Twice the likelihood's logarithm is chi-squared of two: of 31 runs each with 1e-3 / 31, 2 ln 31000 = 20.7."""

@@ -128,6 +128,7 @@ def test_small_motions_beside_large_ones_tell_what_they_tell(share, seeds):
     assert total[0] > 0.2 * equations  # it is no merit to know nothing
 
 
+@pytest.mark.slow
 def test_only_steps_that_change_harmonics_are_seen():
     steps = find_steps(*recorded(4e-7, 2e-8, 1))
     assert list(steps) == ["rotor.displacement[1]"]

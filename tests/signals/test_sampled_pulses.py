@@ -218,6 +218,7 @@ def test_what_a_late_stamp_changes(sign):
     np.testing.assert_allclose(whole - part, np.outer(together, together), atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["0", "after"])
 def test_a_healthy_rotor_with_sampled_pulses_is_identified(kind):
     """600, 1500, 2400 rpm at 5 kHz, two sets of gains: no misfit, and intervals that hold the truth."""

@@ -218,6 +218,7 @@ def nonlinear_bearing():
     return load(document)
 
 
+@pytest.mark.slow
 def test_a_rotor_that_passes_its_magnets_is_no_motion():
     """Unstable, it leaves the gap, where a force of (1/gap)^2 throws it back: nothing grows evenly any more."""
     found = simulate(nonlinear_bearing(), parameters={"controller.KD": -5.0}, stop=0.5)

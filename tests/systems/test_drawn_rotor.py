@@ -21,6 +21,7 @@ def machine():
     return as_model(load("drawn_rotor"))
 
 
+@pytest.mark.slow
 def test_all_modes_to_2_khz_are_damped_as_its_description_says():
     found = modes(machine())
     assert found.stable
@@ -93,6 +94,7 @@ def in_casing(kind: str = "casing") -> dict:
 STATIC = {"casing": 1 / 5e6, "flexible_casing": (1 / (60 * 46**2) + 1 / (18 * 240**2)) / (2 * np.pi) ** 2}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", STATIC)
 def test_the_casings_of_the_page_give_way_under_the_load_of_their_bearing(kind):
     """The integrator holds the probe: there the shaft moves as the casing, by load / stiffness; the load is static."""

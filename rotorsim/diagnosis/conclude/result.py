@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 from rotorsim._shown import Shown
@@ -156,16 +157,27 @@ class Diagnosis(Shown):
 
 
 def taken_twice(effects: Sequence[Effect]) -> bool:
-    """Return whether one effect was taken twice at one place, or behind itself: at the output of its own block."""
+    """Return whether one effect was taken twice at one place, or behind itself: at the output of its own block.
+
+    Of a law and a case of it, as of a rub and a clearance, whether the data allow both to be the same.
+    """
     laws = [effect.candidate.insertion for effect in effects]
     given = {Spot(law.name, port): law.spot for law in laws for port in law.fault.through.values()}
-    keys = []
+    at: list[Spot] = []
     for law in laws:
         spot, passed = law.spot, {law.spot}
         while (spot := given.get(spot, spot)) not in passed:
             passed.add(spot)
-        keys.append((law.physics, spot))
-    return len(set(keys)) < len(keys)
+        at.append(spot)
+    pairs = combinations(zip(at, effects, strict=True), 2)
+    return any(spot == other and _may_be_one(one, two) for (spot, one), (other, two) in pairs)
+
+
+def _may_be_one(one: Effect, two: Effect) -> bool:
+    """Return whether two effects have one law, or one that is a case of the other's and as likely as it."""
+    a, b = one.candidate.insertion, two.candidate.insertion
+    case = a.physics in b.fault.special_cases or b.physics in a.fault.special_cases
+    return a.physics == b.physics or (case and bool({*one.members} & {*two.members}))
 
 
 @dataclass(frozen=True)

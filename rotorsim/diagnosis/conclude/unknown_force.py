@@ -11,6 +11,8 @@ from rotorsim.diagnosis.catalogue.insertion import Spot
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Effort, Fit
+from rotorsim.diagnosis.search.candidates import Job
+from rotorsim.diagnosis.search.work import Work
 
 FORCE_TERMS = ("cubic", "damping_growth", "drag", "friction", "quadratic", "cross", "cross_cubic", "quintic")
 MOST_TERMS = 4
@@ -26,12 +28,12 @@ class UnknownForce:
     fit: Fit | None
 
 
-def unknown_force(base: Fit, evidence: Evidence, spot: Spot) -> UnknownForce:
+def unknown_force(base: Fit, work: Work, spot: Spot) -> UnknownForce:
     """Return what can be said of an unknown force at a spot, beside the fitted diagram as given."""
     document = values_in(base.document, base.values)
-    known = evidence.unknown_force(document, spot)
+    known = work.evidence.unknown_force(document, spot)
     data, words = {"place": str(spot), **known.data}, [*known.words]
-    mapped = _mapped(base, document, evidence, spot)
+    mapped = _mapped(base, document, work, spot)
     if mapped is not None:
         fit, terms = mapped
         share = 1 - fit.misfit / base.misfit
@@ -45,29 +47,30 @@ def unknown_force(base: Fit, evidence: Evidence, spot: Spot) -> UnknownForce:
     return UnknownForce(data, text, mapped[0] if mapped else None)
 
 
-def _mapped(base: Fit, document: Mapping[str, Any], evidence: Evidence, spot: Spot) -> tuple[Fit, Sequence[str]] | None:
+def _mapped(base: Fit, document: Mapping[str, Any], work: Work, spot: Spot) -> tuple[Fit, Sequence[str]] | None:
     """Return the diagram with a force map whose terms were chosen one by one, refitted in the loop."""
-    node = evidence.load(document).nodes.get(spot.block)
+    node = work.evidence.load(document).nodes.get(spot.block)
     if node is None or spot.port not in node.inputs or "velocity" not in node.outputs:
         return None
     index = "" if spot.node is None else f"[{spot.node}]"
     ports = (("displacement", f"{FORCE_MAP}.displacement"), ("velocity", f"{FORCE_MAP}.velocity"))
     wires = [[f"{spot.block}.{port}{index}", target] for port, target in ports]
     wires.append([f"{FORCE_MAP}.force", f"{spot.block}.{spot.port}{index}"])
-    scales = _scales(evidence, spot)
+    scales = _scales(work.evidence, spot)
     best, chosen = base, tuple[str, ...]()
     while len(chosen) < MOST_TERMS:
-        fits: dict[tuple[str, ...], Fit] = {}
-        for terms in [(*chosen, term) for term in FORCE_TERMS if term not in chosen]:
+        tried = [(*chosen, term) for term in FORCE_TERMS if term not in chosen]
+        jobs: list[Job] = []
+        for terms in tried:
             values = {t: best.values.get(f"{FORCE_MAP}.{t}", 1e-3 * scales[t]) for t in terms}
             block = {"type": "force_map", "parameters": {**values, "width": scales["width"]}}
             new = values_in(document, best.values)
             new["blocks"][FORCE_MAP] = block
             new["wires"] = [*new["wires"], *wires]
             new["identify"] = {**new.get("identify", {}), **{f"{FORCE_MAP}.{t}": {} for t in terms}}
-            fit = evidence.fit(new, [[{}]], Effort(most=12))
-            if not fit.failure:
-                fits[terms] = fit
+            jobs.append((new, [[{}]]))
+        found = work.fits(jobs, Effort(most=12))
+        fits = {terms: fit for terms, fit in zip(tried, found, strict=True) if not fit.failure}
         terms = min(fits, key=lambda terms: fits[terms].misfit, default=())
         if not terms or fits[terms].misfit > (1 - CRITERIA.map_term) * best.misfit:
             break

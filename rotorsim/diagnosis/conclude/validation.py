@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.evidence.evidence import HeldScore, Score
-from rotorsim.diagnosis.evidence.fit import Fit, is_noise
+from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_noise
 from rotorsim.diagnosis.search.selection import Selection, without_effects, without_last
 
 
@@ -21,7 +21,15 @@ class Proof:
     reason: str
 
 
-def prove(before: HeldScore, after: HeldScore, *, left: float = 0.0, held: bool = True) -> Proof:
+def prove(
+    before: HeldScore,
+    after: HeldScore,
+    *,
+    left: float = 0.0,
+    held: bool = True,
+    drifting: bool = False,
+    converters: bool = False,
+) -> Proof:
     """Return whether a repaired diagram predicts hold-out runs.
 
     Proved: its residual is what noise and uncertain parameters can make (chi-squared, `Criteria.surprise`), or a share
@@ -29,12 +37,14 @@ def prove(before: HeldScore, after: HeldScore, *, left: float = 0.0, held: bool 
     fitted runs, but at most 1 - ``cause``, and no more than that of the squared error of the signals, either: misfit
     weighs an order by its noise, so that small orders may outweigh the motion. Disproved: it leaves more. Unproved:
     nothing can be said, for the reason given; without runs that are held out for good (held), too little may be left to
-    find a law in runs left out one by one.
+    find a law in runs left out one by one. drifting: 1X drifts within the runs, which is no noise of its harmonics, so
+    that the squared error alone decides. converters: readings are steps, whose noise is known to ``faint`` only.
     """
     if after.misfit is None:
         return Proof("unproved", f"the repaired diagram predicts nothing: {after.reason or 'no settled motion'}")
     times = after.misfit / max(after.rows, 1)
-    if chi2.sf(after.misfit, after.rows) >= CRITERIA.surprise or times <= CRITERIA.model_error:
+    limit = CRITERIA.faint if converters else CRITERIA.model_error
+    if chi2.sf(after.misfit, after.rows) >= CRITERIA.surprise or times <= limit:
         return Proof("proved", f"its residual variance there, {times:.3g} times the noise, noise can make")
     if before.misfit is None:
         what = f"the diagram as given has no settled motion to compare with ({before.reason or 'none was found'})"
@@ -42,21 +52,20 @@ def prove(before: HeldScore, after: HeldScore, *, left: float = 0.0, held: bool 
     share = (after.misfit - after.rows) / max(before.misfit - before.rows, 1e-300)
     allowed = min(max(CRITERIA.details, CRITERIA.extrapolation * left), 1 - CRITERIA.cause)
     reason = f"it leaves {share:.2g} of what was unexplained there, residual variance {times:.3g} times the noise"
-    if before.misfit > before.rows and share <= allowed:
+    if before.misfit > before.rows and (share <= allowed or drifting):
         error = _error_left(before, after)
         if error <= 1 - CRITERIA.cause:
             return Proof("proved", f"{reason}: no more than details of the law")
-        limit = f"more than details of a law ({1 - CRITERIA.cause:.2g})"
-        reason = f"{reason}, but {error:.2g} of the squared error of the signals: {limit}"
+        most = f"more than details of a law ({1 - CRITERIA.cause:.2g})"
+        reason = f"{reason}, but {error:.2g} of the squared error of the signals: {most}"
     else:
         reason = f"{reason}: more than the fitted runs give reason for ({allowed:.2g})"
     return Proof("disproved" if held else "unproved", reason)
 
 
 def prove_by_error(before: Score, after: Score) -> Proof:
-    """Return whether a repaired diagram predicts hold-out runs by its error there.
+    """Return whether a repaired diagram predicts hold-out runs whose samples are not independent, by its error there.
 
-    Where samples are not independent, and where 1X drifts within the runs: what drifts is no noise of the harmonics.
     Disproved: the squared error rises by more than a model of the noise may be wrong by (`Criteria.model_error`); it
     must fall to be proved.
     """
@@ -103,6 +112,13 @@ def is_faint(fit: Fit, score: HeldScore) -> bool:
     if score.misfit is not None and score.misfit > CRITERIA.faint * score.rows:
         return False
     return fit.misfit <= CRITERIA.faint * fit.freedom and is_noise(replace(fit, goodness=1.0))
+
+
+def contradicts(fit: Fit, score: HeldScore) -> bool:
+    """Return whether hold-out runs leave more than the noise may be wrong by, of a fit that leaves noise."""
+    if not is_adequate(fit) or score.misfit is None or score.misfit <= CRITERIA.faint * score.rows:
+        return False
+    return float(chi2.sf(score.misfit, score.rows)) < CRITERIA.not_explained
 
 
 def material_effects(selection: Selection, score: Callable[[Fit], HeldScore]) -> Selection:

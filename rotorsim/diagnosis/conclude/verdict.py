@@ -19,6 +19,7 @@ from rotorsim.diagnosis.evidence.opened import Converter
 from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.diagnosis.search.promises import noticed_from
 from rotorsim.diagnosis.search.selection import Selection, least_gain, likely_places
+from rotorsim.diagnosis.search.work import Work
 from rotorsim.errors import Problem
 
 REJECTED = 12  # hypotheses that are listed
@@ -36,19 +37,21 @@ def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
     """Return an effect with the physics and places that explain the data as well; slack: see `Selection`.
 
     It is compared as it was in that round: its rivals stood beside the same others. What holds its law as a special
-    case, and explains no more than further parameters cost, is no rival; nor is a force of a machine once more as a
-    signal, with more of them. Slack is no excuse for more parameters: what meshes get wrong, they would explain, too.
+    case, and explains no more than further parameters cost and meshes get wrong, is no rival; nor is a force of a
+    machine once more as a signal, with more of them. Slack is no excuse for more parameters: what meshes get wrong,
+    they would explain, too.
     """
-    candidate = found.as_tried(candidate)
+    chosen, candidate = candidate, found.as_tried(candidate)  # what grows is fitted to more than in its round
     own = candidate.insertion.physics
     scale = max(candidate.fit.excess_variance, 1.0)
     possible = [item for item in found.tried if not item.fit.failure and item.physical]
     best: dict[str, float] = {}
     for item in possible:
-        wider = own in item.insertion.fault.special_cases
+        wider, least = own in item.insertion.fault.special_cases, candidate.fit.criterion
         more_free = len(item.fit.free) > len(candidate.fit.free)
+        least -= slack if wider and more_free else 0.0
         wider |= more_free and (candidate.insertion.fault.enters, item.insertion.fault.enters) == ("force", "signal")
-        if wider and item.fit.criterion >= candidate.fit.criterion:
+        if wider and item.fit.criterion >= least:
             continue
         more = max(item.fit.criterion - candidate.fit.criterion - (0.0 if more_free else slack), 0.0) / scale
         best[item.insertion.physics] = min(best.get(item.insertion.physics, np.inf), more)
@@ -56,14 +59,22 @@ def effect_of(candidate: Candidate, found: Round, slack: float) -> Effect:
     weights = {name: float(np.exp(-0.5 * value)) for name, value in best.items() if value <= CRITERIA.equivalent}
     total = sum(weights.values())
     members = {name: weight / total for name, weight in sorted(weights.items(), key=lambda pair: -pair[1])}
-    alike = (item for item in found.tried if item.insertion.physics in members or item.refuted)  # which says no place
-    same = [candidate, *alike]  # it is there, if all fail
+    # what is refuted, and reads like it, says where it is all the same
+    names = {
+        *members,
+        *(item.insertion.physics for item in found.tried if item.refuted and _reads_like(item, candidate)),
+    }
+    same = [candidate, *(item for item in found.tried if item.insertion.physics in names)]  # it is there, if all fail
     places = tuple(one for one in likely_places(same, scale) if one.probability >= CRITERIA.listed)
     rivals: dict[str, Candidate] = {}
     for item in possible:
         if item.insertion.physics in members and item.insertion.physics != own:
             rivals.setdefault(item.insertion.physics, item)
-    return Effect(candidate, members, rivals, places)
+    return Effect(chosen if chosen.insertion.grows else candidate, members, rivals, places)
+
+
+def _reads_like(item: Candidate, other: Candidate) -> bool:
+    return item.insertion.physics in other.insertion.fault.confused_with
 
 
 def converter_effect(converter: Converter, fit: Fit) -> Effect:
@@ -80,16 +91,18 @@ def verdict_of(
     disproved: bool = False,
     converters: bool = False,
     faint: bool = False,
+    contradicted: bool = False,
 ) -> str:
     """Return one of VERDICTS.
 
     alike: all runs have one speed and the same settings, which anything explains, or too few samples to judge.
     disproved: with the effects the diagram does not predict hold-out runs. converters: readings show steps that the
     diagram lacks. faint: the residual of the diagram is so small that only a named cause makes it physics.
+    contradicted: hold-out runs show that something is missing, where the fitted runs do not.
     Several effects of which one may be nearly anything describe a law that is in no catalogue.
     """
     named = bool(effects) and not disproved and selection.explains
-    if not named and (faint or (not effects and is_noise(selection.base))):
+    if not named and not contradicted and (faint or (not effects and is_noise(selection.base))):
         if converters:
             return "outside_catalogue" if disproved else "missing_physics"
         return "not_identifiable" if alike else "consistent"
@@ -113,12 +126,12 @@ def is_no_explanation(selection: Selection, predicted: float) -> bool:
     return several or selection.share < CRITERIA.cause
 
 
-def unknown_of(selection: Selection, effects: Sequence[Effect], evidence: Evidence) -> UnknownForce | None:
+def unknown_of(selection: Selection, effects: Sequence[Effect], work: Work) -> UnknownForce | None:
     """Return what is known of a force outside the catalogue, at the likeliest place where a force can act."""
     tried = [item.insertion for found in selection.rounds for item in found.tried]
     acting = {item.spot for item in tried if item.fault.enters == "force"}
     spots = [spot for spot in spots_of(places_of(selection, effects)) if spot in acting] or sorted(acting, key=str)
-    return unknown_force(selection.base, evidence, spots[0]) if spots else None
+    return unknown_force(selection.base, work, spots[0]) if spots else None
 
 
 def signals_of(
@@ -260,6 +273,8 @@ def _why(item: Candidate, best: Fit, terms: Terms) -> str:
         return item.unphysical
     if fit.misfit > 2 * best.misfit:
         return f"residual variance {fit.excess_variance:.3g} times {terms.noise}, against {best.excess_variance:.3g}"
+    if fit is best:
+        return "explains most alone, but less than the effects found explain together"
     more = len(fit.free) - len(best.free)
     if more > 0:
         lost = float(fit.left_out.sum() - best.left_out.sum())

@@ -9,6 +9,8 @@ import numpy as np
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, estimates, untried_of
 from rotorsim.diagnosis.conclude.shares import Explained
+from rotorsim.diagnosis.conclude.validation import contradicts
+from rotorsim.diagnosis.evidence.evidence import HeldScore
 from rotorsim.diagnosis.evidence.fit import is_noise
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, spots_of
 from rotorsim.diagnosis.search.candidates import Candidate, Round
@@ -182,6 +184,10 @@ def _imitated(diagnosis: Diagnosis) -> str:
 
 def _unexplained(diagnosis: Diagnosis) -> str:
     ratio = _variance(diagnosis.before.excess_variance, diagnosis)
+    held = diagnosis.score_before if diagnosis.held_out else None
+    if isinstance(held, HeldScore) and held.misfit is not None and contradicts(diagnosis.before, held):
+        there = _variance(held.misfit / held.rows, diagnosis)
+        return f"{_name(diagnosis)} explains the fitted runs ({ratio}), but not the hold-out runs: {there}."
     return f"{_name(diagnosis)} does not explain the recording: {ratio}."
 
 

@@ -237,7 +237,7 @@ class Evidence(Protocol):
         """Return the evidence with noise estimated from a fit that leaves less than it assumed; None if it does not."""
 
     def at(self, fit: Fit) -> Fit:
-        """Return a fit to the evidence before recalibration as this one judges it, at the same parameters."""
+        """Return a fit to other evidence (other noise, or drift) as this one judges it, at the same parameters."""
 
     def finished(self, fit: Fit, chosen: Sequence[Insertion]) -> Fit:
         """Return a fit with what the chosen faults state once free as well, where that explains more."""
@@ -245,8 +245,11 @@ class Evidence(Protocol):
     def sharpened(self, fit: Fit, chosen: Sequence[Insertion]) -> tuple[Evidence, Fit]:
         """Return a fit with finer approximations of laws that follow the rate of samples, and the evidence for it."""
 
-    def with_drift(self) -> Evidence | None:
-        """Return the evidence with how 1X drifts within the runs, None where it is not asked, or in it already."""
+    def with_drift(self, variance: float = 1.0) -> Evidence | None:
+        """Return the evidence with how 1X drifts within the runs, None where that is not asked.
+
+        variance: of that drift, as a multiple of what noise makes.
+        """
 
     def separation(self, first: Fit, second: Fit) -> Change | None:
         """Return the further run that separates two hypotheses most; None if none does, or none was searched."""
@@ -341,7 +344,7 @@ class Defaults:
         """Return the fit: no law follows the rate of samples."""
         return self, fit
 
-    def with_drift(self) -> Evidence | None:
+    def with_drift(self, variance: float = 1.0) -> Evidence | None:
         """Return None: samples in time hold it, orders do not."""
         return None
 

@@ -20,7 +20,6 @@ from rotorsim.diagnosis.search.growing import told_by_drift
 from rotorsim.diagnosis.search.idle import nested, simplified, without_idle
 from rotorsim.diagnosis.search.promises import level_of, noticed_from
 from rotorsim.diagnosis.search.trials import Trials
-from rotorsim.identification.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs
 
 BEAM_WIDTH = 2  # hypotheses that the next round starts from
@@ -79,6 +78,13 @@ def without_last(selection: Selection) -> Selection:
     return replace(selection, chosen=selection.chosen[:-1], rounds=selection.rounds[:-1], fit=selection.chosen[-2].fit)
 
 
+def with_faint(selection: Selection) -> Selection:
+    """Return the selection result with the effect that explains most beyond chance, be it less than meshes may."""
+    noticed = _noticed(selection.first.tried, selection.base, selection.level, 0.0)
+    best = next(iter(_distinct(noticed, selection.base)), None)
+    return selection if best is None else replace(selection, chosen=(best,), rounds=(selection.first,), fit=best.fit)
+
+
 def select_effects(
     base: Fit, evidence: Evidence, catalogue: Catalogue, jobs: Jobs, earlier: Selection | None = None
 ) -> Selection:
@@ -86,23 +92,21 @@ def select_effects(
 
     earlier: with another measure of the noise. Raises RotorsimError.
     """
-    trials = Trials(evidence, catalogue, jobs, {} if earlier is None else earlier.searched)
+    trials = Trials(evidence, catalogue, jobs, {} if earlier is None else earlier.searched, base)
     return replace(_selected(trials, base, earlier), searched=trials.rounds)
 
 
 def _selected(trials: Trials, base: Fit, earlier: Selection | None = None) -> Selection:
-    trials.nominal = {item.name: item.value for item in base.free if item.unit != ANGLE_UNIT}
-    trials.unsized = frozenset(item.name for item in base.free if not (item.scale or item.value))
-    trials.slack = slack = CRITERIA.mesh_error * base.rows if trials.evidence.refines_meshes(base.document) else 0.0
-    trials.base = base
+    slack = trials.slack
     first = _round(trials, base)
     level = _level(first)
-    worth = _noticed(first.tried, base, level, slack) if is_adequate(base) else first.tried
+    little = is_adequate(base) or base.misfit <= base.freedom + slack  # noise, or no more than meshes get wrong
+    worth = _noticed(first.tried, base, level, slack) if little else first.tried
     beam: list[tuple[Candidate, ...]] = [(item,) for item in _distinct(worth, base)[:BEAM_WIDTH]]
     if not beam:
         return Selection(base, (), (first,), base, level, trials.counts, slack, first)
-    little = beam[0][0].fit.misfit > base.misfit / 2
-    if little and not is_adequate(base) and disturbance(base, first.classes, trials.evidence) is not None:
+    half_left = beam[0][0].fit.misfit > base.misfit / 2
+    if half_left and not is_adequate(base) and disturbance(base, first.classes, trials.evidence) is not None:
         return Selection(base, (), (first,), base, level, trials.counts, slack, first)
     chosen: tuple[Candidate, ...] = beam[0]
     rounds = [first]
@@ -268,12 +272,14 @@ def _reconsidered(
 ) -> tuple[tuple[Candidate, ...], list[Round]]:
     """Return the choice without effects that others make superfluous, each tried again beside the others.
 
-    Effects are found one by one, so that an early one may stand for what a later one explains better.
+    Effects are found one by one, so that an early one may stand for what a later one explains better. Where the others
+    cannot stand without it, its look-alikes are tried in its place.
     """
     k = 0
     while len(chosen) > 1 and k < len(chosen):
         others = trials.refitted(base, [item for j, item in enumerate(chosen) if j != k], chosen[-1].fit)
         if not others:  # they cannot be fitted without it
+            chosen, rounds[k] = _exchanged(trials, base, chosen, rounds[k], k)
             k += 1
             continue
         without = others[-1].fit
@@ -294,6 +300,29 @@ def _reconsidered(
             continue
         k += 1
     return chosen, rounds
+
+
+def _exchanged(
+    trials: Trials, base: Fit, chosen: tuple[Candidate, ...], found: Round, k: int
+) -> tuple[tuple[Candidate, ...], Round]:
+    """Return the choice with a look-alike in the place of effect k, where it explains more beside the others.
+
+    And the round of effect k, with the fits of both beside the others.
+    """
+    alike, best, beside = _alike(chosen[k], found), chosen, {chosen[k].insertion.key: chosen[-1].fit}
+    for rival in _distinct(found.tried, found.before):
+        if rival.insertion.physics not in alike or rival.insertion.physics == chosen[k].insertion.physics:
+            continue
+        again = trials.refitted(base, [*chosen[:k], rival, *chosen[k + 1 :]], chosen[-1].fit)
+        if not again:
+            continue
+        beside[rival.insertion.key] = again[-1].fit
+        if again[-1].fit.criterion < best[-1].fit.criterion - _margin(again[-1], best[-1], trials.slack):
+            best = again
+    if best is chosen:
+        return chosen, found
+    tried = [replace(item, fit=beside.get(item.insertion.key, item.fit)) for item in found.tried]
+    return best, replace(found, before=replace(found.before)).with_tried(tried, trials.slack)
 
 
 def _margin(other: Candidate, chosen: Candidate, slack: float) -> float:

@@ -55,20 +55,29 @@ PROMISING = 0.3  # of the misfit before: below, a fit is carried to the end
 class Trials:
     """Insertions into fitted diagrams, each refitted; ``slack``: of the misfit, what says nothing.
 
-    rounds: by the diagram that they begin with, those with another measure of the noise at first. Where one begins
-    again, what was likely is looked at, and the best candidates are fitted from where they were.
+    base: the diagram as given, refitted, beside which effects are looked for; None: alone. rounds: by the diagram that
+    they begin with, those with another measure of the noise at first. Where one begins again, what was likely is looked
+    at, and the best candidates are fitted from where they were.
     """
 
     def __init__(
-        self, evidence: Evidence, catalogue: Catalogue, jobs: Jobs, rounds: Mapping[str, Round] | None = None
+        self,
+        evidence: Evidence,
+        catalogue: Catalogue,
+        jobs: Jobs,
+        rounds: Mapping[str, Round] | None = None,
+        base: Fit | None = None,
     ) -> None:
         self.evidence, self.catalogue, self.work = evidence, catalogue, Work(evidence, jobs)
         self.rounds = dict(rounds or {})
         self.counts = {"fits": 0, "rounds": 0}
-        self.nominal: dict[str, float] = {}
-        self.unsized: frozenset[str] = frozenset()
+        given = () if base is None else base.free
+        self.nominal = {item.name: item.value for item in given if item.unit != ANGLE_UNIT}
+        self.unsized = frozenset(item.name for item in given if not (item.scale or item.value))
         self.slack = 0.0
-        self.base: Fit | None = None
+        if base is not None and evidence.refines_meshes(base.document):
+            self.slack = CRITERIA.mesh_error * base.rows
+        self.base = base
 
     def round(self, before: Fit) -> Round:
         """Try every insertion into a fitted diagram; beside an effect, few of those that will never be one more."""
@@ -226,14 +235,18 @@ class Trials:
     def _astray(self, before: Fit, fit: Fit) -> str:
         """Return in words the parameters of the diagram that are ``astray`` times what was given and fitted.
 
-        Of an offset that is given as zero nobody has stated a size.
+        Of an offset that is given as zero nobody has stated a size. What is in series is rigid where it is large, which
+        is no effect: it goes astray where it is small.
         """
         found, known = [], before.values
         for item, value in zip(fit.free, fit.theta, strict=True):
-            usual = max(item.scale, abs(self.nominal.get(item.name, 0.0)), abs(known.get(item.name, 0.0)))
+            sizes = [item.scale, abs(self.nominal.get(item.name, 0.0)), abs(known.get(item.name, 0.0))]
             sized = item.name in self.nominal and item.name not in self.unsized and item.unit != ANGLE_UNIT
-            if sized and abs(value) > CRITERIA.astray * usual > 0:
-                found.append(f"{item.name} {abs(value) / usual:.2g} times as large")
+            least = min((size for size in sizes if size > 0), default=0.0)
+            if sized and item.series and CRITERIA.astray * abs(value) < least:
+                found.append(f"{item.name} {abs(value) / least:.2g} times as large")
+            elif sized and not item.series and abs(value) > CRITERIA.astray * max(sizes) > 0:
+                found.append(f"{item.name} {abs(value) / max(sizes):.2g} times as large")
         return " and ".join(found)
 
     def _begun(
@@ -355,7 +368,7 @@ class Trials:
     def refitted(self, base: Fit, effects: Sequence[Candidate], near: Fit) -> tuple[Candidate, ...]:
         """Return these effects only, put in one by one; the last has the fit of all, from their values in ``near``.
 
-        Empty where they cannot stand alone.
+        Of an effect that is not in there, from those of its own fit. Empty where they cannot stand alone.
         """
         document, known = dict(base.document), dict(near.values)
         entered = []
@@ -366,10 +379,11 @@ class Trials:
                 return ()
             again = again.finer if again.finer.values == item.insertion.values else again
             old, new = item.insertion.name, again.name
-            had = near.document["blocks"][old].get("parameters", {})
-            own = {key: near.values[f"{old}.{key}"] for key in again.fault.free if f"{old}.{key}" in near.values}
-            set_once = {key: near.values.get(f"{old}.{key}", had[key]) for key in again.fault.fixed if key in had}
-            bounds = {key: near.document["identify"].get(f"{old}.{key}", {}) for key in again.fault.free}
+            there = near if old in near.document["blocks"] else item.fit
+            had = there.document["blocks"][old].get("parameters", {})
+            own = {key: there.values[f"{old}.{key}"] for key in again.fault.free if f"{old}.{key}" in there.values}
+            set_once = {key: there.values.get(f"{old}.{key}", had[key]) for key in again.fault.fixed if key in had}
+            bounds = {key: there.document["identify"].get(f"{old}.{key}", {}) for key in again.fault.free}
             limits = {key: (given["low"], given["high"]) for key, given in bounds.items() if given}
             document = again.document(document, {**own, **set_once}, limits)
             known |= {f"{new}.{key}": value for key, value in own.items()}

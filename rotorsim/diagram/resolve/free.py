@@ -151,7 +151,8 @@ class _Reader:
             flat = int(np.ravel_multi_index(index, quantity.value.shape)) if index else 0
             usual = std or next((size for size in quantity.usual if size), 0.0)
             scale = abs(value) if abs(value) > COLLAPSED * usual else usual
-            return Free(name, base, flat, value, quantity.unit, low, high, mean, std, scale)
+            series = bool(quantity.declared) and all(declared.series for declared in quantity.declared)
+            return Free(name, base, flat, value, quantity.unit, low, high, mean, std, scale, series)
         return None
 
     def number(self, given: Mapping[str, Any], key: str, unit: str, path: JsonPath, default: float) -> float:

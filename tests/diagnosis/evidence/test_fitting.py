@@ -159,6 +159,21 @@ def test_a_law_that_needs_a_parameter_beyond_all_reason_is_told_so():
     assert trials._astray(fit(0.31, 0.0, 0.1, 1e-6), fit(0.31, 0.0, 0.1, 1e-6)) == ""
 
 
+def test_a_support_goes_astray_where_it_is_soft_and_not_where_it_is_rigid():
+    """FAULT: an open crack was no candidate, since without the effect beside it it needs a support of no compliance."""
+    trials = Trials(None, Catalogue(), Jobs())
+    trials.nominal = {"k": 5e8}
+    free = (Free("k", "k", 0, 5e8, "N/m", 0.0, np.inf, scale=5e8, series=True),)
+
+    def fit(k: float) -> Fit:
+        return Fit({}, free, np.array([k]), np.eye(1), np.zeros(1, bool), 1.0, 9, 9)
+
+    assert trials._astray(fit(5e8), fit(5e14)) == ""
+    assert trials._astray(fit(5e8), fit(6e6)) == ""
+    assert trials._astray(fit(5e8), fit(4e6)) == "k 0.008 times as large"
+    assert trials._astray(fit(4e6), fit(4e6)) == ""  # it was stated wrong
+
+
 def test_parameters_of_the_diagram_begin_again_off_their_bounds():
     nominal = {"k": 1e5, "c": 0.0, "s": 0.5}
     free = (
@@ -235,9 +250,9 @@ def test_the_largest_signal_and_rate_are_those_of_a_sine_of_the_same_rms():
 
 def test_an_effect_is_where_it_was_put_though_its_other_places_fail():
     spot = Spot("rotor", "force", 2)
-    insertion = SimpleNamespace(physics="crack_location", spot=spot, key="crack_location/0@rotor.force[2]")
+    insertion = SimpleNamespace(physics="crack_location", spot=spot, key="crack_location/0@rotor.force[2]", grows=False)
     good = SimpleNamespace(insertion=insertion, fit=Fit({}, misfit=1.0, rows=9, equations=9), physical=True)
-    failed = SimpleNamespace(insertion=insertion, fit=Fit({}, failure="was not fitted"), physical=True)
+    failed = SimpleNamespace(insertion=insertion, fit=Fit({}, failure="was not fitted"), physical=True, refuted="")
     found = effect_of(good, Round(good.fit, (failed,)), 0.0)
     assert found.places == (PlaceClass((spot,), 1.0),)
 

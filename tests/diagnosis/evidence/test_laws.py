@@ -58,6 +58,7 @@ def test_a_law_without_states_adds_its_harmonics_and_their_derivatives():
     np.testing.assert_allclose(found[:, :, 0, 1], [expected / k] * 2, atol=1e-12 * abs(first / k))
 
 
+@pytest.mark.slow
 def test_a_law_with_states_adds_what_its_frequency_response_says():
     """A lag in a wire, y' = w (u - y): it adds u (H - 1), H = w / (w + i k W), and by w  i k W / (w + i k W)^2."""
     law, one = alone("amplifier_bandwidth/0@amb.current")

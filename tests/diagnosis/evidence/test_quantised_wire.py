@@ -39,3 +39,25 @@ def test_steps_are_named_where_they_are(at, steps):
     assert found.score_after.total < 0.4 * found.score_before.total
     assert [item.what for item in found.warnings] == [effect.candidate.insertion.fault.convention]
     jsonschema.Draft202012Validator(diagnosis_schema()).validate(diagnosis_data(found))
+
+
+@pytest.mark.slow
+def test_steps_in_readings_that_pass_for_noise_are_seen():
+    """FAULT: 30 levels, seen by none of the first starts: consistent, with a noise of step / sqrt(12)."""
+    step = 0.15
+    runs = [controlled(seed, read=lambda value: step * math.floor(value / step + 0.5)) for seed in (1, 2, 3)]
+    found = diagnose(load(CONTROL), made(runs, 50), workers=1)
+    [effect] = found.effects
+    assert (found.verdict, effect.physics, effect.spot_of("quantisation").words) == (
+        "missing_physics",
+        "quantisation",
+        "the reading of level.output",
+    )
+    assert found.after.values["quantisation.interval"] == pytest.approx(step, rel=1 / 200)
+    assert found.score_after.total < 0.25 * found.score_before.total
+
+
+@pytest.mark.slow
+def test_without_steps_there_are_none():
+    found = diagnose(load(CONTROL), made([controlled(seed) for seed in (1, 2, 3)], 50), workers=1)
+    assert found.verdict == "consistent"

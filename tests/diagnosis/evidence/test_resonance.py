@@ -175,6 +175,7 @@ def test_held_out_runs_are_compared_by_their_resonances():
     assert "On hold-out runs the error falls from " in found.statement
 
 
+@pytest.mark.slow
 def test_the_end_of_a_sweep_is_no_resonance():
     made = recording(1.0)
     names = [f"rotor.acceleration[{k},1]" for k in SENSORS]

@@ -142,6 +142,7 @@ def test_names_of_the_fmu_stay_its_own(tmp_path: Path, name: str) -> None:
     assert made["it.y"].tolist() == [3.0] * 6
 
 
+@pytest.mark.slow
 def test_an_input_of_the_outer_one_reaches_it(tmp_path: Path) -> None:
     """One that nothing in the diagram feeds, and that it takes beside its own value."""
     diagram = with_gauge(gauge_fmu(tmp_path, description(real=True)), wires=[], blocks={}, u=1.0)

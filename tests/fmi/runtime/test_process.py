@@ -106,6 +106,7 @@ def test_the_log_of_fmi2_is_formatted_as_printf_does(clean: Path, plants: dict[s
     assert caught.value.log == (("Error", "logStatusError", "step of 0.01 s refused, code 3 in none"),)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cs", "me"])
 def test_a_hang_ends_at_the_time_limit(clean: Path, plants: dict[str, Path], kind: str) -> None:
     begun = time.monotonic()

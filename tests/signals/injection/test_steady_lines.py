@@ -42,6 +42,7 @@ def test_orders_of_a_shaft_whose_speed_drifts_are_taken_out_by_its_angle():
     assert without_lines(cleaned, 300.0)[1] == []
 
 
+@pytest.mark.slow
 def test_a_narrow_resonance_is_no_line():
     """FAULT of an earlier version: 50 lines were taken out of a resonance, and its peak came out 15 % too low."""
     random = np.random.default_rng(0)

@@ -150,6 +150,7 @@ def test_no_hum_is_seen_where_there_is_none():
         assert tracked_recording(recording, [1])[0].warnings == ()
 
 
+@pytest.mark.slow
 def test_one_mode_that_splits_for_no_plane_stays_one():
     """A single probe cannot tell planes apart; a fit that is a little better with twins says so of nothing."""
     orders = usual()[1]

@@ -52,6 +52,7 @@ def test_the_other_way_round_is_the_mirror_image() -> None:
     np.testing.assert_allclose(other.vectors["x 1X"], one.vectors["x 1X"], rtol=1e-3, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_filtered_is_refused() -> None:
     recording = run_up(MACHINE, 100.0, 200.0, 1.0)
     with pytest.raises(RotorsimError, match="do not show"):

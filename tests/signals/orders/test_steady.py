@@ -33,6 +33,7 @@ def settled(speeds: np.ndarray, sense: int = 1, wander: float = 1e-4) -> Recordi
     return replace(made, runs=tuple(runs[::-1]))  # in any order
 
 
+@pytest.mark.slow
 def test_vectors_and_their_noise_are_those_of_each_run() -> None:
     speeds = np.linspace(100.0, 500.0, 12)
     for sense in (1, -1):
@@ -48,6 +49,7 @@ def test_vectors_and_their_noise_are_those_of_each_run() -> None:
         assert np.abs(positions[0].mean["x"]).max() < 5 * std
 
 
+@pytest.mark.slow
 def test_the_critical_speed_is_that_of_the_settled_response_within_its_interval() -> None:
     truth, inside = peak_of(W, Z, 1, 0.0), 0
     found, _ = steady_recording(settled(np.linspace(200.0, 420.0, 23)), [1])
@@ -61,6 +63,7 @@ def test_the_critical_speed_is_that_of_the_settled_response_within_its_interval(
     assert inside == 1
 
 
+@pytest.mark.slow
 def test_too_few_speeds_and_unknown_angles_are_refused() -> None:
     few = settled(np.linspace(100.0, 500.0, 7))
     with pytest.raises(RotorsimError, match="8 speeds of one setting are needed"):

@@ -1,4 +1,4 @@
-"""Offsets of channels that drift within the runs, and what that leaves of their means."""
+"""What drifts within the runs: offsets of channels, with what that leaves of their means, and vectors of 1X."""
 
 from __future__ import annotations
 
@@ -10,17 +10,20 @@ from scipy.stats import chi2
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.fit import FAILURES, Fit
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.drifting import DriftingLikelihood
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.recordings.recording import Recording
+from rotorsim.settled.growing import DEGREES
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.units import conversion
 
 # a random walk that starts with a run has Var(mean) = s^2 T / 3, and s^2 3 T / 10 in its slope's Legendre coefficient
 MEAN = 10 / 9
 SCORINGS = 20  # steps of Fisher's scoring
+COURSE_INSTANTS = 65  # of a run: Markov on the second derivative lets degree four hide 80 / (2 64^2) = 1 % between them
 DRIFT_INFORMATION = 1e-9  # of a channel's information that slow states leave: below, they take all of its drift
 
 
@@ -101,3 +104,33 @@ def drift_warnings(drifts: Mapping[str, float], recording: Recording) -> list[Pr
         what = f"its offset drifts, by {size:.2g} {units[name]} over a run: its mean counts less"
         warnings.append(Problem(what, name, severity="warning"))
     return warnings
+
+
+def unexplained_drift(fit: Fit, runs: HarmonicRuns) -> str:
+    """Return in words where 1X drifts most within a run, if noise and a fit do not explain it; empty if they do.
+
+    Noise: by chi-squared of the drifts of all runs that tell them, with the probability `Criteria.drift` of a false
+    alarm. A fit: `Criteria.cause_of_drift` of the rest, since what grows need not do so as its law says to the last.
+    """
+    try:
+        experiment = runs.open(runs.load(values_in(fit.document, fit.values)))
+        likelihood = DriftingLikelihood(experiment)
+        rest = likelihood.drift - likelihood.grown(experiment.theta0)
+    except FAILURES:
+        return ""
+    seen, left = ((likelihood.white_drift(part) ** 2).sum(axis=1) for part in (likelihood.drift, rest))
+    rows = sum(drift.told for drift in likelihood.drifts) * DEGREES * (2 * rest.shape[2] - 1)
+    explained = seen.sum() - left.sum() > CRITERIA.cause_of_drift * (seen.sum() - rows)
+    if not rows or left.sum() <= chi2.isf(CRITERIA.drift, rows) or explained:
+        return ""
+    r = int(left.argmax())
+    fitted = experiment.fits[r]
+    columns = experiment.columns[r][: rest.shape[2]]
+    course = np.polynomial.legendre.legvander(np.linspace(-1, 1, COURSE_INSTANTS), DEGREES)[:, 1:] @ rest[r]
+    sizes = 2 * np.abs(course).max(axis=0)
+    c = int((sizes / np.maximum(fitted.rms[columns], 1e-300)).argmax())
+    name = experiment.predicted[c]
+    unit = next(channel.unit for channel in runs.recording.channels.values() if channel.name == name)
+    pair = np.array([sizes[c], 2 * abs(fitted.values[1, columns[c]])]) / conversion(unit, None)
+    most = f"{pair[0]:.2g} {unit} of {pair[1]:.2g} {unit} 0-peak"
+    return f"1X of {name} drifts within run {experiment.runs[r].run.id}, by up to {most}, unexplained."

@@ -14,7 +14,8 @@ from rotorsim.diagnosis.evidence.change import Change
 from rotorsim.diagnosis.evidence.evidence import HeldScore, Unknown
 from rotorsim.diagnosis.evidence.fit import FAILURES, TO_THE_END, Effort, Fit, Starts
 from rotorsim.diagnosis.evidence.harmonic.bounds import LowerBounds, open_bounds
-from rotorsim.diagnosis.evidence.harmonic.fitting import fit_document, promise_of
+from rotorsim.diagnosis.evidence.harmonic.drifts import unexplained_drift
+from rotorsim.diagnosis.evidence.harmonic.fitting import fit_document, promise_of, without_drift
 from rotorsim.diagnosis.evidence.harmonic.force import unknown_force
 from rotorsim.diagnosis.evidence.harmonic.laws import LawsBeside
 from rotorsim.diagnosis.evidence.harmonic.residual import is_force, residual_place
@@ -76,13 +77,21 @@ class HarmonicEvidence(HarmonicRuns, Validated):
         """Return the speed or gain that separates two hypotheses most; see `best_change`."""
         return best_change(first, second, self)
 
-    def with_drift(self) -> HarmonicEvidence:
+    def at(self, fit: Fit) -> Fit:
+        """Return a fit to harmonics and the drift of 1X as harmonics alone judge it, at the same parameters."""
+        return without_drift(fit, self)
+
+    def with_drift(self, variance: float = 1.0) -> HarmonicEvidence:
         """Return the evidence with how 1X drifts within the runs."""
-        return replace(self, drifting=True)
+        return replace(self, drifting=variance)
 
     def unknown_force(self, document: Mapping[str, Any], spot: Spot) -> Unknown:
         """Return orders, exponents, work and lines of the force that explains the residual best."""
         return unknown_force(document, self, spot)
+
+    def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
+        """Return whether 1X drifts within a run more than noise and what is put in have it drift."""
+        return [said for said in [unexplained_drift(after, self)] if said]
 
     # -- validation ----------------------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ import numpy as np
 from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, Fit, Starts, failed_fit
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.identification.coordinates import ANGLE_UNIT
+from rotorsim.identification.drifting import LaggingLikelihood, likelihood_of
 from rotorsim.identification.estimate import MOST_EVALUATIONS, Estimate, Search, summary
 from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.left_out import RANK_TOLERANCE, left_out
@@ -80,6 +81,21 @@ def promise_of(document: Mapping[str, Any], runs: HarmonicRuns, starts: Starts) 
     except FAILURES:
         return np.inf
     return least
+
+
+def without_drift(fit: Fit, runs: HarmonicRuns) -> Fit:
+    """Return a fit to harmonics and the drift of 1X with the misfit of the harmonics alone, at the same parameters.
+
+    Those of drifting runs have what the drift adds to them taken out, as in the fit.
+    """
+    try:
+        experiment = runs.open(runs.load(fit.document))
+        search = Search(LaggingLikelihood(experiment) if runs.drifting else likelihood_of(experiment))
+        found = _fit_of(fit.document, search, summary(search, search.coordinates.inside(fit.theta)))
+    except FAILURES as error:
+        return failed_fit(fit.document, error, nonlinear=fit.nonlinear)
+    kept = ("theta", "covariance", "at_bound", "ends", "alone", "nonlinear", "seconds", "standing")
+    return replace(found, **{name: getattr(fit, name) for name in kept})
 
 
 def _fit_of(document: Mapping[str, Any], search: Search, best: Estimate) -> Fit:

@@ -12,7 +12,7 @@ import numpy as np
 from rotorsim.diagnosis.catalogue.insertion import LEAST, LINES, LONGEST, RATE
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.identification.drifting import DriftingLikelihood
-from rotorsim.identification.experiment import RESOLUTION, Experiment, open_experiment
+from rotorsim.identification.experiment import Experiment, open_experiment
 from rotorsim.identification.likelihood import Likelihood
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
@@ -21,7 +21,6 @@ from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonics import RunHarmonics
 
 SAME_SPEED = 0.02  # relative
-MESH_ACCURACY = 1e-5  # of a signal's rms: how well one mesh stands for another at best
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +29,8 @@ class HarmonicRuns:
 
     second: the asynchronous frequency with which the harmonics were fitted. standing: nuisance parameters of the
     diagram as given (see `Fit.criterion`); given: its free parameters, whose sizes and priors hold in every later fit,
-    whatever value that begins from. drifting: whether fits are to the drift of 1X within the runs, too.
+    whatever value that begins from. drifting: variance of the drift of 1X within the runs, as a multiple of what noise
+    makes, where fits are to it, too; else 0.
     """
 
     recording: Recording
@@ -40,7 +40,7 @@ class HarmonicRuns:
     second: Asynchronous | None = None
     standing: int | None = None
     given: tuple[Free, ...] = ()
-    drifting: bool = False
+    drifting: float = 0.0
 
     def load(self, document: Mapping[str, Any]) -> Diagram:
         """Return the diagram of a document. Raises RotorsimError."""
@@ -55,13 +55,12 @@ class HarmonicRuns:
             runs=[item.run for item in self.harmonics],
             inject=inject,
             harmonics=self.harmonics,
-            resolution=MESH_ACCURACY if has_mesh(diagram) else RESOLUTION,
             free=[self._as_given(item) for item in diagram.free],
         )
 
     def likelihood(self, experiment: Experiment) -> Likelihood:
         """Return the likelihood of an experiment that is fitted."""
-        return DriftingLikelihood(experiment) if self.drifting else Likelihood(experiment)
+        return DriftingLikelihood(experiment, self.drifting) if self.drifting else Likelihood(experiment)
 
     def _as_given(self, item: Free) -> Free:
         """Return a free parameter with size and prior of the diagram as given, not of the fit that it starts from."""

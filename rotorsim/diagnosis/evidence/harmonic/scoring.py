@@ -15,9 +15,9 @@ from rotorsim.diagnosis.evidence.harmonic.fitting import fit_document
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagnosis.evidence.harmonic.stability import unsettled
 from rotorsim.identification import left_out
-from rotorsim.identification.experiment import Experiment, open_experiment
+from rotorsim.identification.drifting import likelihood_of
+from rotorsim.identification.experiment import Experiment
 from rotorsim.identification.likelihood import Evaluation, Likelihood
-from rotorsim.signals.converters import before_converters
 
 UNSETTLED = "it has no settled motion in the runs that were fitted"
 BOUND_TOLERANCE = 1e-9  # relative: such a parameter takes no part in linear theory
@@ -34,11 +34,9 @@ class Prediction:
 
 def predict(document: Mapping[str, Any], runs: HarmonicRuns) -> Prediction:
     """Return the prediction of runs by a diagram as it is, with the means of slow states at their best."""
-    chosen = [item.run for item in runs.harmonics]
-    diagram = before_converters(runs.load(document))
-    experiment = open_experiment(diagram, runs.recording, runs=chosen, harmonics=runs.harmonics)
+    experiment = runs.open(runs.load(document))
     experiment.motion.sharpen()
-    likelihood = Likelihood(experiment)
+    likelihood = likelihood_of(experiment)
     return Prediction(experiment, likelihood, likelihood.evaluate(experiment.theta0))
 
 

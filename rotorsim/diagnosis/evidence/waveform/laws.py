@@ -289,18 +289,30 @@ class LawBounds:
     def _likely_starts(self, one: _Placed, wires: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Return the starts of a law; of very many, those that add most nearly what is missing, but for a constant.
 
-        Where that was not smoothed, the first of them.
+        As smoothed, and as outputs show it at once; where neither is known, the first of them.
         """
         starts = [one.law.within(eta) for eta in one.starts]
-        likely = {item.place for item in self.estimates[:SMOOTHED_PLACES]}
-        if one.wires[0] not in likely:
-            return starts[:STARTS_TRIED]
-        if len(starts) <= STARTS_COMPARED:
+        is_likely = one.wires[0] in {item.place for item in self.estimates[:SMOOTHED_PLACES]}
+        if len(starts) <= (STARTS_COMPARED if is_likely else STARTS_TRIED):
             return starts
-        missing = np.concatenate(self._smoothed[one.wires[0]].added)
+        known = [self._smoothed[one.wires[0]].added if is_likely else None, self._shown_at_once(one.wires[0])]
+        missing = [np.concatenate(signal) for signal in known if signal is not None]
+        if not missing:
+            return starts[:STARTS_TRIED]
         added = (np.concatenate(one.law.added(eta, self.sampled, wires, slopes=False))[:, 0] for eta in starts)
-        left = [float(np.var(missing - each)) for each in added]
-        return [starts[k] for k in np.argsort(left, kind="stable")[:STARTS_TRIED]]
+        left = np.array([[np.var(signal - each) for signal in missing] for each in added])
+        best = np.argsort(left, axis=0, kind="stable")[:STARTS_TRIED]
+        return [starts[k] for k in dict.fromkeys(best.ravel().tolist())]
+
+    def _shown_at_once(self, place: int) -> list[np.ndarray] | None:
+        """Return what outputs that pass a place on at once lack of it in each run (N,), by least squares; else None."""
+        found = []
+        for run in self.runs:
+            through = run.responses(place, np.eye(len(run.residual), 1))[0, :, 0] * self.roots
+            if not (power := float(through @ through)):
+                return None
+            found.append((run.residual * self.roots) @ through / power)
+        return found
 
     def _ways(self, place: int) -> Iterator[tuple[list[np.ndarray], View]]:
         """Yield what all places carry in each run (N, P), and how misfits are judged.

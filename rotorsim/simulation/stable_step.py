@@ -1,0 +1,31 @@
+"""A step of RK4 that holds, for a diagram to which something fast has been added."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from rotorsim.diagram.diagram import Diagram
+from rotorsim.linear.stability import growing, largest_stable_step
+from rotorsim.model.compiled import model_for_runs
+
+
+def stable_steps(diagram: Diagram) -> dict[str, Any]:
+    """Return the solver's ``step`` [s] and ``record_every`` with which RK4 is stable about the start of a run.
+
+    h / n with the least whole n for which |R(lambda h / n)| <= 1 for all poles lambda, and n times as many steps from
+    record to record. Empty where the diagram's own step h is stable, where no smaller one is (a pole grows), and where
+    a part hides its equations or samples.
+    """
+    solver = diagram.solver
+    model = model_for_runs(diagram)
+    if solver.method != "rk4" or model.hidden or model.n_z or not model.n_x:
+        return {}
+    p = model.parameter_vector()
+    A = np.array(model.jacobian(0.0, model.x0(p), np.zeros(0), p))
+    if not np.isfinite(A).all() or growing(A):
+        return {}
+    n = math.ceil(solver.step / largest_stable_step(np.linalg.eigvals(A)))
+    return {} if n <= 1 else {"step": solver.step / n, "record_every": solver.record_every * n}
