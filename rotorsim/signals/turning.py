@@ -19,6 +19,7 @@ MARKS = 4  # in a turn, between which a recorded angle is smoothed for its deriv
 LEAST_PULSES = 9  # for derivatives: fewer do not tell jitter from a change of speed
 DEGREE = 5  # of a spline: its acceleration is as smooth as a cubic spline
 MOST_WEIGHT = 10.0  # of a pulse, of that of the fastest: slower ones tell no more where the curve bends
+TURN_ROUNDING = 1e-9  # of a turn: a sample that far beyond a mark is at it
 DETERMINED = 1e-6  # of a coefficient of unit size: what pulses tell of it beside the others, at least
 NO_ANGLE = 'give "tacho": times of a once-per-turn pulse, or a channel of clock.theta'
 
@@ -106,9 +107,9 @@ def turning(recording: Recording, run: Run) -> Turning:
     pulses, doubt, _ = pulses_of(recording, run)
     turns = tau * np.arange(len(pulses))
     curve = _through(pulses, turns, doubt, sign)
-    theta, speed, reach = sign * curve(time), sign * curve(time, 1), curve.reach
+    theta, speed, reach = sign * curve(time), sign * curve(time, 1), curve.reach + TURN_ROUNDING * tau
     beyond = (theta < -reach) | (theta > turns[-1] + reach) | ((time < pulses[0]) & (speed <= 0))
-    beyond |= (time < pulses[0]) & (reach == 0) | (time > pulses[-1]) & (reach == 0)
+    beyond |= ((time < pulses[0]) | (time > pulses[-1])) & (curve.reach == 0)
     theta, speed, acceleration = (np.where(beyond, np.nan, curve(time, order)) for order in range(3))
     return Turning(theta, speed, acceleration, curve)
 
@@ -122,7 +123,7 @@ def _through(times: np.ndarray, turned: np.ndarray, doubt: float, sign: float) -
     u = np.clip((times - centre) / half, -1.0, 1.0)  # rounding
     speed = np.gradient(turned, times)
     weight = float(speed.max()) / np.maximum(speed, speed.max() / MOST_WEIGHT)
-    least = max((1e-9 * tau) ** 2, TEETH * (float(speed.max()) * doubt) ** 2)
+    least = max((TURN_ROUNDING * tau) ** 2, TEETH * (float(speed.max()) * doubt) ** 2)
 
     def fitted(basis: Callable[[np.ndarray, int], np.ndarray]) -> tuple[float, Curve]:
         B = basis(u, 0) * weight[:, None]

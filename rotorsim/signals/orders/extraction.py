@@ -16,7 +16,7 @@ from rotorsim.recordings.orders import LEAST_ORDER_ROWS, OrderChannel, OrderReco
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.signals.pickup import mains_lines
 from rotorsim.signals.shaft_angle import run_up_in_words
-from rotorsim.signals.turning import turning
+from rotorsim.signals.turning import TURN_ROUNDING, turning
 from rotorsim.units import conversion
 
 ORDERS_BESIDE = 8  # further orders that are fitted along, so that they do not leak into those wanted
@@ -24,7 +24,6 @@ SAMPLES_OF_UNKNOWN = 1.5  # of a row, for each of its unknowns
 LEAK_PASSES = 6  # of what leaks, each leaves half or less
 CHANGES = 0.1  # of the highest speed, from which a run is no steady one, whatever its speed in the end
 SMOOTH_ROWS = 7  # over which a parabola follows an envelope, as sixth differences between rows do, but no line
-TURN_ROUNDING = 1e-9  # of a turn
 _TURN = 2 * pi
 
 
