@@ -17,7 +17,7 @@ from rotorsim.diagnosis.conclude.verdict import effect_of
 from rotorsim.diagnosis.evidence.evidence import Promise
 from rotorsim.diagnosis.evidence.fit import Effort, Fit, fit_from_plain, fit_to_plain
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
-from rotorsim.diagnosis.evidence.harmonic.fitting import _alone
+from rotorsim.diagnosis.evidence.harmonic.fitting import FOLLOWED_FROM, _alone
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass
 from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.diagnosis.search.screening import Screening
@@ -314,5 +314,5 @@ def test_a_nonlinear_law_that_is_no_rival_is_not_followed(monkeypatch):
         assert not fit.failure
         assert fit.nonlinear
     assert asked[1e9][1] == pytest.approx(asked[np.inf][1], rel=1e-3)  # all the way, in two parts
-    assert asked[1.0][0] < asked[np.inf][0] / 2
+    assert asked[1.0][0] <= FOLLOWED_FROM + 2 < asked[np.inf][0]
     assert asked[1.0][1] > asked[np.inf][1]

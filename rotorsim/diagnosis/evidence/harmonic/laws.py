@@ -143,18 +143,20 @@ class _Beside:
         """Return the parameters of a law and of the diagram after the step from eta, within their bounds.
 
         Of a law that is not linear a start beside the parameters of the diagram alone may lead to no motion at all.
-        What would change by more than itself is not told by linear theory: of the diagram it is left out.
+        What would change by more than itself is not told by linear theory, but for a parameter that the law is linear
+        in: of the diagram it is left out.
         """
         change = step.best(self.left)
-        eta = law.within(eta + np.where(_told(law.equations.free, eta, change), change, 0.0))
+        told = _told(law.equations.free, eta, change) | law.linear_in()
+        eta = law.within(eta + np.where(told, change, 0.0))
         added = law.added(eta, self.times, signals, self.motion.speeds, self.K)[..., :1]
         white = np.concatenate(self._without_nuisances(self.likelihood.white(real_columns(self._answers(one, added)))))
         rest = self.residual - np.pad(white[:, 0], (0, len(self.residual) - len(white)))
         free, scale = self.experiment.free, lengths_of(self.jacobian)[0]
         moved = (-np.linalg.lstsq(self.jacobian / scale, rest, rcond=LEFT_BESIDE)[0] / scale)[: len(free)]
         theta = np.clip(self.theta + moved, [item.low for item in free], [item.high for item in free]).tolist()
-        told = zip(free, theta, _told(free, self.theta, moved), strict=True)
-        start = {item.name: value for item, value, known in told if known}
+        every = zip(free, theta, _told(free, self.theta, moved), strict=True)
+        start = {item.name: value for item, value, known in every if known}
         return start | dict(zip(one.item.free, eta.tolist(), strict=True))
 
     def _best(

@@ -46,6 +46,12 @@ class PeriodicLaw:
         _, x, v, _ = self.equations.arguments
         return is_affine(ca.vertcat(self.equations.f, self.equations.g), ca.vertcat(x, *(v[k] for k in inputs)))
 
+    def linear_in(self) -> np.ndarray:
+        """Return whether what it adds is linear in each of its parameters, (m,): a step of any size is told then."""
+        _, x, _, p = self.equations.arguments
+        of = ca.vertcat(self.equations.f, self.equations.g)
+        return np.array([is_affine(of, p[slots], x) for slots in self.equations.slots], bool)
+
     def within(self, eta: np.ndarray) -> np.ndarray:
         """Return parameters within their bounds."""
         return np.asarray(np.clip(eta, *self.bounds))
