@@ -144,7 +144,7 @@ class Param(Declaration):
     default None: must be given. low, high: closed bounds; above: open lower bound. tolerance: standard uncertainty of
     a stated value that nobody measured (damping, as a rule): a diagnosis leaves it free within that. series: of a part
     that others act through, as the stiffness of a support: the larger it is, the less it shows, so that a fit looks for
-    its reciprocal.
+    its reciprocal; it cannot be negative. Raises ValueError for such a part without a bound that says so.
     """
 
     default: Any = None
@@ -154,6 +154,11 @@ class Param(Declaration):
     above: float | None = None
     tolerance: float | None = None
     series: bool = False
+
+    def __post_init__(self) -> None:
+        lowest = self.low if self.above is None else self.above
+        if self.series and (lowest is None or lowest < 0):
+            raise ValueError("what is in series cannot be negative: low or above must say so")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ class Support(Block):
     displacement = In(shape=2, unit="m", doc="rotor displacement [x, y] at the support")
     velocity = In(shape=2, unit="m/s", doc="rotor velocity [x, y] at the support")
     force = Out(shape=2, unit="N", doc="force on the rotor [x, y]")
-    stiffness = Param([5e8, 5e8], shape=2, unit="N/m", series=True, doc="stiffness [x, y]")
+    stiffness = Param([5e8, 5e8], shape=2, unit="N/m", low=0.0, series=True, doc="stiffness [x, y]")
     damping = Param([0.0, 0.0], shape=2, unit="N s/m", doc="viscous damping [x, y]")
 
     def equations(self, p, u, x, t):

@@ -232,7 +232,7 @@ def _stable_steps(diagnosis: Diagnosis, document: Mapping[str, Any]) -> dict[str
         steps = {} if given else stable_steps(diagnosis.evidence.load(document))
     except RotorsimError:
         return {}
-    return {**steps, "step": f"{steps['step']:.6g} s"} if steps else {}
+    return {**steps, "step": f"{steps['step']!r} s"} if steps else {}
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:

@@ -77,13 +77,11 @@ class Coordinates:
 
     def moved(self, value: float, j: int, step: float) -> float:
         """Return a value of parameter j after a step in q; of a part in series 0 to infinity, where it is rigid."""
-        if j not in self.series:
-            return value + step * float(self.scale[j])
-        at = max(self._of_series(j, value) + step, 0.0)
-        return float(at * self.scale[j] / (1 - at)) if at < 1 else np.inf
+        size = float(self.scale[j])
+        return _moved_in_series(value, size, step) if j in self.series else value + step * size
 
     def _of_series(self, j: int, value: float) -> float:
-        return float(value / (value + self.scale[j]))
+        return _in_series(value, float(self.scale[j]))
 
     def at_bound(self, q: np.ndarray, near: float) -> np.ndarray:
         """Return which parameters (m,) are at a bound, or as near as that in q."""
@@ -92,6 +90,23 @@ class Coordinates:
         for a, b in self.pairs:
             found[a], found[b] = np.hypot(q[a], q[b]) >= high[a] - near, False
         return np.asarray(found)
+
+
+def stretched(item: Free, value: float, end: float, by: float) -> float:
+    """Return the end of an interval about the value of a parameter, so many times as far away in q."""
+    if not (item.series and item.low >= 0):
+        return value + by * (end - value)
+    size = _scale(item)
+    return _moved_in_series(value, size, by * (_in_series(end, size) - _in_series(value, size)))
+
+
+def _in_series(value: float, size: float) -> float:
+    return float(value / (value + size)) if value < np.inf else 1.0
+
+
+def _moved_in_series(value: float, size: float, step: float) -> float:
+    at = max(_in_series(value, size) + step, 0.0)
+    return float(at * size / (1 - at)) if at < 1 else np.inf
 
 
 def coordinates_of(

@@ -99,12 +99,15 @@ class LaggingLikelihood(Likelihood):
         return _Course(values, by_theta)
 
     def _parameters_of(self, state: int) -> list[int]:
-        """Return the free parameters of the block that has a state."""
+        """Return the free parameters of the block that has a state, and those of the diagram that it follows."""
         equations = self.experiment.motion.equations
         at = equations.kept[state]
         parts = ((name, range(*signal.part.indices(at + 1))) for name, signal in equations.model.states.items())
         block = next(name.rpartition(".")[0] for name, part in parts if at in part)
-        return [j for j, item in enumerate(self.experiment.free) if item.base.rpartition(".")[0] == block]
+        node = self.experiment.diagram.nodes.get(block)
+        shared = [] if node is None else [*node.references.values()]
+        bases = (item.base for item in self.experiment.free)
+        return [j for j, base in enumerate(bases) if base.rpartition(".")[0] == block or base in shared]
 
     def _of_time(self, r: int, values: np.ndarray) -> np.ndarray:
         return harmonics_of_time(values[:, self._columns(r)], self.experiment.fits[r].speed)

@@ -12,6 +12,7 @@ from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice import Advice, advise
+from rotorsim.identification.coordinates import stretched
 from rotorsim.identification.estimate import Estimate, Residuals, Search, estimate
 from rotorsim.identification.experiment import open_experiment
 from rotorsim.identification.in_orders import identify_orders
@@ -155,8 +156,7 @@ def identify(
         elif profile:
             intervals = profile_intervals(search, result, widen)
         else:
-            ends = result.theta[:, None] + widen * (linear_intervals(search, result) - result.theta[:, None])
-            intervals = np.clip(ends, result.coordinates.low[:, None], result.coordinates.high[:, None])
+            intervals = _stretched(result, linear_intervals(search, result), widen)
         verdicts = judge(result, intervals, precision=precision, widen=widen if method == "likelihood" else 1.0)
         left = [item.name for item, verdict in zip(result.free, verdicts, strict=True) if not verdict.identifiable]
         advice: list[Advice] = []
@@ -180,7 +180,7 @@ def identify(
     if method == "likelihood":
         reach = np.abs(intervals - result.theta[:, None]).max(axis=1) / Z90
         std = np.where(result.at_bound, reach, np.where(result.undetermined, np.inf, std))
-    joint = result.theta[:, None] + joint_factor(correlation) * (intervals - result.theta[:, None])
+    joint = _stretched(result, intervals, joint_factor(correlation))
     parameters = {
         item.name: Identified(
             item.name,
@@ -221,6 +221,13 @@ def _checked(recording: Recording) -> list[Problem]:
     if any(problem.severity == "error" for problem in problems):
         raise RotorsimError(*problems, exit_code=1)
     return problems
+
+
+def _stretched(result: Estimate, intervals: np.ndarray, by: float) -> np.ndarray:
+    """Return intervals (m, 2) about the estimate made wider or narrower, within the physical bounds."""
+    every = zip(result.free, result.theta.tolist(), intervals.tolist(), strict=True)
+    ends = np.array([[stretched(item, value, end, by) for end in own] for item, value, own in every])
+    return np.asarray(np.clip(ends, result.coordinates.low[:, None], result.coordinates.high[:, None]))
 
 
 def _about(result: Estimate, std: np.ndarray, bias: np.ndarray) -> np.ndarray:

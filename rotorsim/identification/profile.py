@@ -23,21 +23,23 @@ def profile_intervals(search: Search, estimate: Estimate, widen: float = 1.0) ->
     bounds. Source: Pawitan, In All Likelihood (2001), ch. 3; Raue et al., Bioinformatics 25 (2009) 1923.
     """
     polar = _polar(search)
-    covariance = estimate.covariance
-    intervals = np.empty((len(estimate.free), 2))
-    best = polar.residual(polar.coordinates.inside(estimate.theta))
+    coordinates = polar.coordinates
+    at, limits = coordinates.inside(estimate.theta), coordinates.bounds
+    best = polar.residual(at)
     least = float(best @ best)
-    whole, nothing = _unbounded(estimate), estimate.undetermined
-    for j, item in enumerate(estimate.free):
+    slopes = np.diag(coordinates.jacobian(estimate.theta))
+    covariance, whole = (of / np.outer(slopes, slopes) for of in (estimate.covariance, _unbounded(estimate)))
+    intervals = np.column_stack([coordinates.low, coordinates.high])
+    for j in np.flatnonzero(~estimate.undetermined):
         used = whole if estimate.at_bound[j] else covariance
         std = float(np.sqrt(max(used[j, j], 0.0))) * widen
-        if nothing[j] or not 0 < std < np.inf:
-            intervals[j] = item.low, item.high
+        if not 0 < std < np.inf:
             continue
         ridge = used[:, j] / used[j, j]
         for side, sign in enumerate((-1.0, 1.0)):
-            end = _end(polar, estimate.theta, ridge, j, sign * Z90 * std, least, (Z90 * widen) ** 2)
-            intervals[j, side] = float(np.clip(end, item.low, item.high))
+            end = _end(polar, at, ridge, int(j), sign * Z90 * std, least, (Z90 * widen) ** 2)
+            if limits[0][j] < end < limits[1][j]:
+                intervals[j, side] = coordinates.moved(estimate.theta[j], int(j), end - at[j])
     return intervals
 
 
@@ -54,10 +56,11 @@ def linear_intervals(search: Search, estimate: Estimate) -> np.ndarray:
         width = Z90 * estimate.std[k] / search.coordinates.jacobian(estimate.theta)[k, k]
         ends = [search.coordinates.moved(estimate.theta[k], k, step) for step in (-width, width)]
         intervals[k] = np.clip(ends, low[k], high[k])
-    q, limits = search.coordinates.inside(estimate.theta), search.coordinates.bounds
     if not estimate.at_bound.any():
         return intervals
-    r, J = search.residual(q), search.jacobian(q)
+    polar = _polar(search)  # of an amplitude at its bound the angle is free
+    q, limits = polar.coordinates.inside(estimate.theta), polar.coordinates.bounds
+    r, J = polar.residual(q), polar.jacobian(q)
     base, _, _ = np.linalg.svd(_units(J[:, ~estimate.at_bound]), full_matrices=False)
     for j in np.flatnonzero(estimate.at_bound):
         below = q[j] - limits[0][j] <= limits[1][j] - q[j]
@@ -65,7 +68,7 @@ def linear_intervals(search: Search, estimate: Estimate) -> np.ndarray:
         h, b = float(own @ own), max(float(own @ r), 0.0)
         # x = (sqrt(b^2 + h 2.71) - b) / h, without its difference of large numbers
         rise = Z90**2 / (b + np.sqrt(b**2 + h * Z90**2)) if h > 0 or b > 0 else np.inf
-        end = search.coordinates.moved(estimate.theta[j], int(j), rise if below else -rise)
+        end = polar.coordinates.moved(estimate.theta[j], int(j), rise if below else -rise)
         intervals[j] = (low[j], min(end, high[j])) if below else (max(end, low[j]), high[j])
     return intervals
 
@@ -103,24 +106,24 @@ def _polar(search: Search) -> Search:
     return search.in_coordinates(replace(search.coordinates, pairs=(), scale=scale))
 
 
-def _end(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, step: float, least: float, rise: float) -> float:
-    """Return the value of parameter j at which the profile has risen so far."""
-    low, high = search.coordinates.low[j], search.coordinates.high[j]
+def _end(search: Search, at: np.ndarray, ridge: np.ndarray, j: int, step: float, least: float, rise: float) -> float:
+    """Return the q of parameter j at which the profile has risen so far, or its bound; at: q (m,) of the estimate."""
+    low, high = (limits[j] for limits in search.coordinates.bounds)
     share = 1.0
     known = [(0.0, 0.0)]  # (share of the step, root of the rise)
     for _ in range(PROFILE_STEPS):
-        value = float(np.clip(theta[j] + share * step, low, high))
-        reached = (value - theta[j]) / step
+        value = float(np.clip(at[j] + share * step, low, high))
+        reached = (value - at[j]) / step
         try:
-            root = np.sqrt(max(_profile(search, theta, ridge, j, value) - least, 0.0) / rise)
+            root = np.sqrt(max(_profile(search, at, ridge, j, value) - least, 0.0) / rise)
         except RotorsimError as error:
             if gives_up(error):
                 raise
             remark(search.free[j].name, "its 90 % interval is that of linear theory: trials fail on the way to its end")
-            return float(np.clip(theta[j] + step * np.sqrt(rise) / Z90, low, high))
+            return float(np.clip(at[j] + step * np.sqrt(rise) / Z90, low, high))
         known.append((reached, root))
         if abs(root - 1) < PARABOLA_TOLERANCE or (reached < share and root < 1):  # there, or at the bound
-            return float(theta[j] + reached * step / root) if abs(root - 1) < PARABOLA_TOLERANCE else value
+            return float(at[j] + reached * step / root) if abs(root - 1) < PARABOLA_TOLERANCE else value
         below = max((pair for pair in known if pair[1] < 1), key=lambda pair: pair[0])
         above = min((pair for pair in known if pair[1] >= 1), key=lambda pair: pair[0], default=None)
         if above is None:
@@ -129,16 +132,13 @@ def _end(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, step: flo
                 return float(high if step > 0 else low)
         else:
             share = below[0] + (1 - below[1]) / (above[1] - below[1]) * (above[0] - below[0])
-    return float(theta[j] + share * step)
+    return float(at[j] + share * step)
 
 
-def _profile(search: Search, theta: np.ndarray, ridge: np.ndarray, j: int, value: float) -> float:
-    """Return the least of minus twice the log likelihood with parameter j held at a value."""
-    start = theta + ridge * (value - theta[j])
-    low, high = search.coordinates.low, search.coordinates.high
-    start = np.clip(start, low, high)
-    start[j] = value
-    q = search.coordinates.inside(start)
+def _profile(search: Search, at: np.ndarray, ridge: np.ndarray, j: int, value: float) -> float:
+    """Return the least of minus twice the log likelihood with q of parameter j held at a value."""
+    q = np.clip(at + ridge * (value - at[j]), *search.coordinates.bounds)
+    q[j] = value
     others = [k for k in range(len(q)) if k != j]
     r = search.residual(q)
     cost = float(r @ r)

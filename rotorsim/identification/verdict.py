@@ -93,6 +93,9 @@ def judge(
         if not item.low <= value <= item.high:
             text = f"{format_quantity(value, item.unit)} is outside its physical bounds: the data or the model are not"
             verdicts.append(Verdict(False, text + " right for it"))
+        elif estimate.at_bound[j] and item.series and value > item.scale:
+            least = format_quantity(float(intervals[j, 0]), item.unit)
+            verdicts.append(Verdict(False, f"it is as good as rigid: the data say only that it is above {least}"))
         elif estimate.at_bound[j]:
             near = item.low if abs(value - item.low) <= abs(value - item.high) else item.high
             text = f"the search ended at its physical bound {format_quantity(near, item.unit)}"

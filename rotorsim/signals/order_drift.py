@@ -54,11 +54,15 @@ def drift_of_order(item: RunHarmonics, recording: Recording) -> OrderDrift:
     samples = samples_of(recording, item.run, item.angle, item.lost)
     y = np.column_stack(list(samples.signals.values()))
     basis = harmonic_basis(samples.run, samples.time, samples.theta, orders=int(item.fit.orders[-1]))
-    basis = basis.with_lines(samples.time, item.fit.pickups)
+    lines = [line.frequency for line in item.fit.lines]
+    basis = basis.with_lines(samples.time, [*item.fit.pickups, *lines])
     if item.fit.beside is not None:
         told = item.fit.beside.orders[item.fit.beside.told]
         basis = basis.with_waves(int(k) * samples.theta + item.fit.beside.second * samples.time for k in told)
     u = 2 * (samples.time - samples.time[0]) / (samples.time[-1] - samples.time[0]) - 1
+    if lines:  # their frequencies are read off spectra: what they err by is a slow change of the line
+        slow = [u[:, None] * wave_columns(2 * np.pi * frequency * samples.time) for frequency in lines]
+        basis = replace(basis, columns=np.column_stack([basis.columns, *slow]))
     wave = wave_columns(samples.theta)
     legendre = np.polynomial.legendre.legvander(u, DEGREES)[:, 1:]
     waves = np.column_stack([wave * p[:, None] for p in legendre.T])

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
@@ -14,6 +15,7 @@ from rotorsim.diagnosis.conclude.verdict import conventions
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.search.candidates import Candidate
 from rotorsim.diagnosis.search.trials import Trials
+from rotorsim.diagram.diagram import Free
 from rotorsim.diagram.diff import diff
 from rotorsim.diagram.resolve.registry import Registry
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
@@ -253,6 +255,27 @@ def without(name: str, recorded: list[str], *keys: str) -> dict:
         found.append(Candidate(item, fits))
     trials = Trials(source, Catalogue(), Jobs())
     return trials.refitted(Fit(given), found[1:], found[-1].fit)[-1].fit.document
+
+
+def test_an_effect_that_is_new_among_others_begins_from_its_own_fit():
+    """FAULT: a saturation that took the place of another law of the same block began without its limit."""
+    given, asked = document("fe_rigid"), []
+
+    def fit(changed, starts):
+        asked.append(changed)
+        return Fit(changed, misfit=1.0)
+
+    source = SimpleNamespace(load=load, recorded=PROBES, fit=fit)
+    every = {item.key: item for item in insertions(load(given), PROBES)}
+    bow = every["residual_bow/0@rotor.force[3]"]
+    near = Fit(bow.document(every["magnetic_nonlinearity/0@amb.force"].document(given)))
+    rival = every["magnetic_saturation/1@amb.force"]
+    own = rival.document(given)
+    free = (Free("amb.saturation_current", "amb.saturation_current", 0, 1.0, "A", 0.0, np.inf),)
+    new = Candidate(rival, Fit(own, free, np.array([3.21]), np.eye(1), np.zeros(1, bool)))
+    found = Trials(source, Catalogue(), Jobs()).refitted(Fit(given), [new, Candidate(bow, near)], near, new)
+    assert [item.insertion.physics for item in found] == ["magnetic_saturation", "residual_bow"]
+    assert asked[0]["blocks"]["amb"]["parameters"]["saturation_current"] == 3.21
 
 
 def test_an_effect_that_shares_a_block_with_another_can_be_taken_away():

@@ -335,7 +335,7 @@ def test_a_look_alike_takes_the_place_of_an_effect_that_the_others_cannot_stand_
     alone, crack = (Candidate(item.insertion, item.fit) for item in others)
     asked = []
 
-    def refitted(base: Fit, effects: list, near: Fit) -> tuple:
+    def refitted(base: Fit, effects: list, near: Fit, new: Candidate | None = None) -> tuple:
         asked.append([item.insertion.physics for item in effects])
         return both if crack in effects else ()
 

@@ -77,6 +77,32 @@ def test_derivatives_are_those_of_differences_and_rows_stand_behind_those_of_eac
         assert np.linalg.norm(slope - near) < 1e-3 * np.linalg.norm(slope)
 
 
+def test_the_drift_follows_a_parameter_that_the_block_shares_with_the_diagram():
+    """FAULT: of a time constant given as "$tau" the derivatives were zero."""
+    plain, _ = bow(2e-6, 0.4)
+    document = dict(plain.experiment.diagram.document)
+    block = document["blocks"]["thermal_bow"]
+    shared = {**block, "parameters": {**block["parameters"], "time_constant": "$tau"}}
+    free = {("tau" if name == "thermal_bow.time_constant" else name): v for name, v in document["identify"].items()}
+    columns = []
+    for name, more in (
+        ("thermal_bow.time_constant", {}),
+        (
+            "tau",
+            {
+                "blocks": {**document["blocks"], "thermal_bow": shared},
+                "parameters": {**document["parameters"], "tau": f"{block['parameters']['time_constant']} s"},
+                "identify": free,
+            },
+        ),
+    ):
+        evidence = source("jeffcott")
+        experiment = evidence.open(evidence.load({**document, **more}))
+        j = [item.name for item in experiment.free].index(name)
+        columns.append(DriftingLikelihood(experiment).evaluate(experiment.theta0).jacobian[:, j])
+    np.testing.assert_allclose(columns[1], columns[0], atol=1e-6 * np.abs(columns[0]).max())
+
+
 def test_a_machine_in_which_nothing_grows_has_no_drift():
     plain, _ = bow(2e-6, 0.4)
     likelihood = DriftingLikelihood(plain.experiment)

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import RotorsimError
+from rotorsim.identification.coordinates import stretched
 from rotorsim.model.heard import listener
 
 DEFERRED = "is nonlinear, and not fitted yet"
@@ -129,7 +130,7 @@ class Fit:
         """Return the 90 % interval of a parameter, within its bounds: one-sided at one, infinite if undetermined."""
         value, item = float(self.theta[j]), self.free[j]
         ends = self.ends[j] if len(self.ends) else value + Z90 * self.std(j) * np.array([-1.0, 1.0]) / self.widening
-        low, high = (value + self.widening * (float(end) - value) for end in ends)
+        low, high = (stretched(item, value, float(end), self.widening) for end in ends)
         return max(low, item.low), min(high, item.high)
 
     def std(self, j: int) -> float:

@@ -54,7 +54,7 @@ def told_by_drift(
             own = settled
         # the settled motion has them both alike, and compares either with its rivals as the settled one
         rounds[k] = rounds[k].with_tried([replace(own, fit=settled.fit), *tried], slack)
-        found = [*chosen[:k], replace(own, fit=chosen[k].fit), *chosen[k + 1 :]]
+        found = [*chosen[:k], own, *chosen[k + 1 :]]  # with its fit beside those before it
         chosen = (*found[:-1], replace(found[-1], fit=fit))
     return chosen, rounds
 
@@ -102,6 +102,8 @@ def _decided(
     if still.failure or moved.failure:
         return None
     harmonics = [further.at(fit) for fit in (still, moved)]
+    if any(fit.failure for fit in harmonics):
+        return None
     rows = still.rows - harmonics[0].rows
     drift, left = (fit.misfit - own.misfit for fit, own in zip((still, moved), harmonics, strict=True))
     if rows <= 0:
@@ -113,11 +115,15 @@ def _decided(
             looser = evidence.with_drift(left / rows)
             again = moved if looser is None else looser.fit(moved.document, [[moved.values]])
             moved = moved if again.failure else again
-        return wide, evidence.at(moved)
+        return _unless_failed(wide, evidence.at(moved))
     narrow = further.fit(beside(law, declared[0]), starts)
     if narrow.failure or narrow.criterion <= still.criterion + CRITERIA.equivalent:
         return None
-    return settled.insertion, evidence.at(still)
+    return _unless_failed(settled.insertion, evidence.at(still))
+
+
+def _unless_failed(meant: Insertion, fit: Fit) -> tuple[Insertion, Fit] | None:
+    return None if fit.failure else (meant, fit)
 
 
 def _without(document: Mapping[str, Any], name: str) -> dict[str, Any]:

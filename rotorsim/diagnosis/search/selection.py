@@ -307,20 +307,30 @@ def _exchanged(
 ) -> tuple[tuple[Candidate, ...], Round]:
     """Return the choice with a look-alike in the place of effect k, where it explains more beside the others.
 
-    And the round of effect k, with the fits of both beside the others.
+    And the round of effect k, with the fits of both beside the others, and of the one that is taken at its other
+    likely places.
     """
     alike, best, beside = _alike(chosen[k], found), chosen, {chosen[k].insertion.key: chosen[-1].fit}
+
+    def exchanged(rival: Candidate) -> tuple[Candidate, ...]:
+        again = trials.refitted(base, [*chosen[:k], rival, *chosen[k + 1 :]], chosen[-1].fit, rival)
+        if again:
+            beside[rival.insertion.key] = again[-1].fit
+        return again
+
     for rival in _distinct(found.tried, found.before):
         if rival.insertion.physics not in alike or rival.insertion.physics == chosen[k].insertion.physics:
             continue
-        again = trials.refitted(base, [*chosen[:k], rival, *chosen[k + 1 :]], chosen[-1].fit)
-        if not again:
-            continue
-        beside[rival.insertion.key] = again[-1].fit
-        if again[-1].fit.criterion < best[-1].fit.criterion - _margin(again[-1], best[-1], trials.slack):
-            best = again
+        again = exchanged(rival)
+        if again and again[-1].fit.criterion < best[-1].fit.criterion - _margin(again[-1], best[-1], trials.slack):
+            best, taken = again, rival
     if best is chosen:
         return chosen, found
+    reach = taken.fit.criterion + trials.slack + CRITERIA.equivalent
+    for item in found.tried:
+        same = item.insertion.physics == taken.insertion.physics and item.insertion.key not in beside
+        if same and not item.fit.failure and item.fit.criterion <= reach:
+            exchanged(item)
     tried = [replace(item, fit=beside.get(item.insertion.key, item.fit)) for item in found.tried]
     return best, replace(found, before=replace(found.before)).with_tried(tried, trials.slack)
 

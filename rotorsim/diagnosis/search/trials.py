@@ -365,10 +365,12 @@ class Trials:
             if not fit.failure and fit.misfit <= fits[k].misfit:
                 fits[k] = replace(fit, seconds=fit.seconds + fits[k].seconds)
 
-    def refitted(self, base: Fit, effects: Sequence[Candidate], near: Fit) -> tuple[Candidate, ...]:
+    def refitted(
+        self, base: Fit, effects: Sequence[Candidate], near: Fit, new: Candidate | None = None
+    ) -> tuple[Candidate, ...]:
         """Return these effects only, put in one by one; the last has the fit of all, from their values in ``near``.
 
-        Of an effect that is not in there, from those of its own fit. Empty where they cannot stand alone.
+        new: the effect that is not in there: from those of its own fit. Empty where they cannot stand alone.
         """
         document, known = dict(base.document), dict(near.values)
         entered = []
@@ -378,15 +380,15 @@ class Trials:
             if again is None:
                 return ()
             again = again.finer if again.finer.values == item.insertion.values else again
-            old, new = item.insertion.name, again.name
-            there = near if old in near.document["blocks"] else item.fit
+            old, name = item.insertion.name, again.name
+            there = item.fit if item is new else near
             had = there.document["blocks"][old].get("parameters", {})
             own = {key: there.values[f"{old}.{key}"] for key in again.fault.free if f"{old}.{key}" in there.values}
             set_once = {key: there.values.get(f"{old}.{key}", had[key]) for key in again.fault.fixed if key in had}
             bounds = {key: there.document["identify"].get(f"{old}.{key}", {}) for key in again.fault.free}
             limits = {key: (given["low"], given["high"]) for key, given in bounds.items() if given}
             document = again.document(document, {**own, **set_once}, limits)
-            known |= {f"{new}.{key}": value for key, value in own.items()}
+            known |= {f"{name}.{key}": value for key, value in own.items()}
             entered.append(again)
         known = {name: value for name, value in known.items() if name in document["identify"]}
         document = values_in(document, known)  # a block that was put in the place of another has others
@@ -395,7 +397,7 @@ class Trials:
         if fit.failure:
             return ()
         pairs = zip(entered[:-1], effects, strict=False)
-        kept = (Candidate(new, old.fit if new.name == old.insertion.name else fit) for new, old in pairs)
+        kept = (Candidate(one, old.fit if one.name == old.insertion.name else fit) for one, old in pairs)
         return (*kept, Candidate(entered[-1], fit))
 
 

@@ -115,6 +115,7 @@ def unexplained_drift(fit: Fit, runs: HarmonicRuns) -> str:
     try:
         experiment = runs.open(runs.load(values_in(fit.document, fit.values)))
         likelihood = DriftingLikelihood(experiment)
+        likelihood.evaluate(experiment.theta0)  # the motion about which what grows is linearised
         rest = likelihood.drift - likelihood.grown(experiment.theta0)
     except FAILURES:
         return ""

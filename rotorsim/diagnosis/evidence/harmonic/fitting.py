@@ -94,6 +94,8 @@ def without_drift(fit: Fit, runs: HarmonicRuns) -> Fit:
         found = _fit_of(fit.document, search, summary(search, search.coordinates.inside(fit.theta)))
     except FAILURES as error:
         return failed_fit(fit.document, error, nonlinear=fit.nonlinear)
+    if found.failure:
+        return found
     kept = ("theta", "covariance", "at_bound", "ends", "alone", "nonlinear", "seconds", "standing")
     return replace(found, **{name: getattr(fit, name) for name in kept})
 

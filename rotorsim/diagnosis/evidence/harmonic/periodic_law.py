@@ -47,10 +47,16 @@ class PeriodicLaw:
         return is_affine(ca.vertcat(self.equations.f, self.equations.g), ca.vertcat(x, *(v[k] for k in inputs)))
 
     def linear_in(self) -> np.ndarray:
-        """Return whether what it adds is linear in each of its parameters, (m,): a step of any size is told then."""
+        """Return in which of its parameters, (m,), what it adds is linear, in all of them at once.
+
+        Of a product, as stiffness times friction, it is the first. A step of any size is told then.
+        """
         _, x, _, p = self.equations.arguments
-        of = ca.vertcat(self.equations.f, self.equations.g)
-        return np.array([is_affine(of, p[slots], x) for slots in self.equations.slots], bool)
+        of, linear, found = ca.vertcat(self.equations.f, self.equations.g), list[int](), []
+        for slots in self.equations.slots:
+            found.append(is_affine(of, p[[*linear, *slots]], x))
+            linear += slots if found[-1] else []
+        return np.array(found, bool)
 
     def within(self, eta: np.ndarray) -> np.ndarray:
         """Return parameters within their bounds."""
