@@ -42,8 +42,8 @@ _LAWS = {
     ),
 }
 _SIDES = {"stop": ({"side": 1.0}, {"side": -1.0})}
-# A polynomial or a long wave is linear at first, so is a stop that is always met, about a constant; a wave of which less
-# than a period shows is a polynomial.
+# A polynomial or a long wave is linear at first, so is a stop that is always met, about a constant; a wave of which
+# less than a period shows is a polynomial.
 _HELD = {
     "polynomial": ("cross_talk", "integrator_leak"),
     "periodic": ("cross_talk", "integrator_leak", "nonlinear_coupling", "static_nonlinearity"),
