@@ -10,6 +10,7 @@ from rotorsim.acceptance.conditions import Conditions, conditions_of
 from rotorsim.acceptance.criterion import MET, NOT_JUDGED, NOT_MET, UNSURE, Criterion, Part
 from rotorsim.acceptance.damping import damped_modes
 from rotorsim.acceptance.displacement import measured_displacement, modelled_displacement
+from rotorsim.acceptance.probes import refuse_units
 from rotorsim.acceptance.rotor import mode_shapes, support_map
 from rotorsim.acceptance.stability_margins import measured_stability, modelled_margins
 from rotorsim.acceptance.unbalance import unbalance_cases
@@ -89,6 +90,7 @@ def accept(
     model = None if diagram is None else model_for_runs(diagram)
     if model is not None:
         _refuse_foreign(model, given)
+    refuse_units(one for one in given if not isinstance(one, InjectionRecording))
     conditions = conditions_of(
         model,
         operating=operating,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorsim.acceptance.conditions import Conditions, campbell_of
-from rotorsim.acceptance.criterion import API_617, API_684, Criterion, Part, judged
+from rotorsim.acceptance.criterion import API_617, API_684, MET, Criterion, Part, judged
 from rotorsim.acceptance.limits import HIGHEST_MODE
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.campbell import Campbell
@@ -59,14 +59,18 @@ def _damped(model: Model, given: Conditions) -> Part:
     speed = given.highest if np.isfinite(given.highest) else None
     turning = {} if speed is None or speed_of(model, model.p0) is None else {"speed": speed}
     at = f" at {speed * 30 / np.pi:.5g} rpm" if turning and speed is not None else ""
-    found, notes, stable = _modes(model, turning)
+    every, notes, stable = _modes(model, turning)
+    found = tuple(mode for mode in every if mode.frequency <= HIGHEST_MODE)
     made = [_stable(stable, at)]
-    low = [mode for mode in found if mode.whirl != "backward"]
+    low = [mode for mode in every if mode.whirl != "backward"]  # the first one may be above
     if low:
         alike = [mode for mode in low if mode.frequency <= FIRST_PAIR * low[0].frequency]
         first = min(alike, key=lambda mode: mode.decrement)
         words = f"first {first.whirl} mode, {first.frequency:.4g} Hz{at}"
         made.append(Criterion(LEVEL_1, "log decrement", words, first.decrement, LEAST_DECREMENT, at_most=False))
+    else:
+        said = "no mode is brought to resonance"
+        made.append(Criterion(LEVEL_1, "log decrement", f"forward modes{at}", said=said, stated=MET))
     weak = [mode for mode in found if mode.decrement < LEAST_DECREMENT and mode is not (first if low else None)]
     for mode in weak:
         words = f"{mode.whirl} mode, {mode.frequency:.4g} Hz{at}"
@@ -109,12 +113,12 @@ def _twice(result: Campbell, given: Conditions) -> list[str]:
 
 
 def _modes(model: Model, turning: dict[str, float]) -> tuple[tuple[DampedMode, ...], list[str], bool]:
-    """Return the modes up to 2 kHz, ascending, that force may bring to resonance; notes; whether no pole grows."""
+    """Return the modes, ascending, that force may bring to resonance; notes; whether no pole grows."""
     found = modes(model, parameters=turning)
     listed = [
         DampedMode(mode.frequency_hz, decrement_of(mode.eigenvalue), mode.whirl)
         for mode in found.modes
-        if mode.resonant and mode.frequency_hz <= HIGHEST_MODE
+        if mode.resonant
     ]
     return tuple(listed), list(found.notes), found.stable
 

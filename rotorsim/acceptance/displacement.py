@@ -6,7 +6,7 @@ unbalance, crack, and what a recording has besides. Zones A, B, C end at 0.3, 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from rotorsim.acceptance.conditions import Conditions
 from rotorsim.acceptance.criterion import ISO_2, MET, RUNNING_TEST, UNSURE, Criterion, Part, judged, not_judged
 from rotorsim.acceptance.limits import vibration_limit
+from rotorsim.acceptance.probes import faults_of
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.loop import linear_system
 from rotorsim.model.compiled import Model
@@ -128,7 +129,12 @@ def measured_displacement(recording: Recording, given: Conditions) -> Part:
     a monitor shows it, of each channel.
     """
     title = f"Displacement and vibration, {recording.name}"
+    return judged(title, CLAUSE, WHAT, lambda: _measured(title, recording, given))
+
+
+def _measured(title: str, recording: Recording, given: Conditions) -> Part:
     notes: list[str] = []
+    faults = faults_of(recording)
     runs = list(_at_operating_speed(recording, given, notes))
     places = _places(recording)
     if not places:
@@ -140,7 +146,7 @@ def measured_displacement(recording: Recording, given: Conditions) -> Part:
     made: list[Criterion] = []
     results: list[Displacement] = []
     for place, axes in places.items():
-        made += _of_place(recording, given, runs, place, axes, results)
+        made += _of_place(recording, given, runs, place, axes, faults, results)
     near = max(speed for _, speed in runs)
     if near < given.highest * (1 - NEAR_HIGHEST):
         said = f"{near * 30 / np.pi:.5g} rpm is the largest operating speed that was recorded"
@@ -154,10 +160,13 @@ def _of_place(
     runs: Sequence[tuple[Run, float]],
     place: str,
     axes: Sequence[Channel],
+    faults: Mapping[tuple[str, str], str],
     results: list[Displacement],
 ) -> Iterator[Criterion]:
     """Yield D_max and the vibration at a place."""
     clearance = given.clearance.get(place, given.clearance.get("", np.nan))
+    own = [(run, one, faults.get((run.id, one.column))) for run, _ in runs for one in axes]
+    blind = [f"{run.id}, {one.name}: {what}" for run, one, what in own if what]
     required = place in given.probes or not given.probes  # others than the probes of the diagram are shown
     sizes = [(_largest(run, axes), run, speed) for run, speed in runs]
     sizes = [one for one in sizes if np.isfinite(one[0])]
@@ -170,6 +179,7 @@ def _of_place(
         found = _criterion(given, largest, place, speed, clearance, "measured", run.id)
         lacks = [f"its {axis} axis was not measured" for axis in AXES if axis not in {one.axis for one in axes}]
         lacks += [f"the mean of {one.name} was not measured" for one in axes if one.coupling == "ac"]
+        lacks += blind
         if lacks and found.verdict == MET:
             found = replace(found, stated=UNSURE)
         yield replace(found, said="; ".join([found.said, *lacks]))
@@ -185,7 +195,9 @@ def _of_place(
         widest, at, speed, axis = max(wide)
         where = f"{axis} at {speed * 30 / np.pi:.5g} rpm, {at}"
         limit, what = vibration_limit(given.highest) * 1e6, "vibration, peak to peak"
-        yield Criterion(RUNNING_TEST, what, where, widest * 1e6, limit, "um", source="measured", required=required)
+        found = Criterion(RUNNING_TEST, what, where, widest * 1e6, limit, "um", source="measured", required=required)
+        unsure = blind and found.verdict == MET
+        yield replace(found, stated=UNSURE, said="; ".join(blind)) if unsure else found
 
 
 def _at_operating_speed(recording: Recording, given: Conditions, notes: list[str]) -> Iterator[tuple[Run, float]]:

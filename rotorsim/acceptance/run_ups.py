@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorsim.acceptance.conditions import Conditions
-from rotorsim.acceptance.criterion import API_684, MET, RUNNING_TEST, Criterion, Part, judged
+from rotorsim.acceptance.criterion import API_684, MET, RUNNING_TEST, UNSURE, Criterion, Part, judged
 from rotorsim.acceptance.limits import vibration_limit
+from rotorsim.acceptance.probes import faults_of
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.orders.critical_speeds import CriticalSpeed, CriticalSpeeds, critical_speeds
 from rotorsim.signals.orders.extraction import tracked_recording
-from rotorsim.signals.orders.resonance import RESPONSIVE
+from rotorsim.signals.orders.resonance import RESPONSIVE, unmeasured
 from rotorsim.signals.turning import is_run_up
 
 IN_RANGE = 0.005  # of a speed: as of runs at one speed
@@ -43,7 +44,10 @@ def measured_critical_speeds(recording: Recording | OrderRecording, given: Condi
 
 def _passed(title: str, recording: Recording | OrderRecording, given: Conditions) -> Part:
     notes: list[str] = []
+    blind: list[str] = []
     if isinstance(recording, Recording):
+        faults = faults_of(recording)
+        blind = [f"{column}: {what}" for (_, column), what in faults.items()]
         recording = tracked_recording(recording, (1,))[0]
         notes += [f"{one.subject}: {one.what}" for one in recording.warnings]
     made: list[Criterion] = []
@@ -54,17 +58,29 @@ def _passed(title: str, recording: Recording | OrderRecording, given: Conditions
         if not found.explained:
             notes.append(f"{run.id}: the modes leave {found.excess:.3g} times the variance of the noise")
         made += [_criterion(one, run.id, given) for one in found.found]
-        made += _vibration(run, recording.channels, given)
+        made += [_as_measured(one, blind) for one in _vibration(run, recording.channels, given)]
         low, high = float(found.speed.min()), float(found.speed.max())
         where = f"{run.id}, {low * 30 / np.pi:.5g} to {high * 30 / np.pi:.5g} rpm"
         short = _not_covered(low, high, given)
         if short:
             made.append(Criterion(CLAUSE, WHAT, where, source="measured", said=short))
         elif not found.found and found.explained:
-            made.append(Criterion(CLAUSE, WHAT, where, source="measured", said="no critical speed", stated=MET))
+            said = "; ".join(["no critical speed", *blind])
+            stated = UNSURE if blind else MET
+            made.append(Criterion(CLAUSE, WHAT, where, source="measured", said=said, stated=stated))
+        gaps = unmeasured(low, high, given.lowest, given.highest) if not short else []
+        if gaps:  # a diagram tells what is there
+            spans = " and ".join(f"{a * 30 / np.pi:.5g} to {b * 30 / np.pi:.5g} rpm" for a, b in gaps)
+            said, required = "a critical speed might be too near there: not passed", not given.probes
+            made.append(Criterion(CLAUSE, WHAT, f"{run.id}, {spans}", source="measured", said=said, required=required))
         if not found.found and not found.explained:
             made.append(Criterion(CLAUSE, WHAT, where, source="measured", said="no critical speed is told"))
     return Part(title, tuple(made), tuple(notes), tuple(results))
+
+
+def _as_measured(one: Criterion, blind: Sequence[str]) -> Criterion:
+    """Return a criterion that is met as unsure where probes are at fault."""
+    return replace(one, stated=UNSURE, said="; ".join(blind)) if blind and one.verdict == MET else one
 
 
 def _vibration(run: OrderRun, channels: Mapping[str, OrderChannel], given: Conditions) -> list[Criterion]:

@@ -40,7 +40,7 @@ def _modelled(model: Model, given: Conditions) -> Part:
     notes: list[str] = []
     found = []
     for speed in speeds:
-        result: Margins = margins(model, parameters={} if speed is None else {"speed": speed}, limits=False)
+        result: Margins = margins(model, parameters={} if speed is None else {"speed": speed})
         notes += [note for note in result.notes if note not in notes]
         found.append(MarginsAt(speed, result))
         at = "" if speed is None else f" at {speed * 30 / np.pi:.5g} rpm"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from rotorsim.cli.shared import (
     known_names,
     note,
     plot_option,
+    refuse_all,
     refuse_if,
     save_plot,
     share_of,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.recordings.orders import OrderRecording, OrderRun
-    from rotorsim.recordings.recording import Recording
+    from rotorsim.recordings.recording import Recording, Run
     from rotorsim.signals.orders.critical_speeds import CriticalSpeeds
     from rotorsim.signals.orders.extraction import Positions
     from rotorsim.signals.orders.filtered import Passband
@@ -126,7 +127,8 @@ def command(
 
     kinds = list(wanted) or sorted({channel.order for channel in tracked.channels.values()})
     if width is None:
-        found = [critical_speeds(run, tracked.channels, order) for run in tracked.runs for order in kinds]
+        single = _single_turns(given, kinds, turns, slow)
+        found = [critical_speeds(run, single.channels, order) for run in single.runs for order in kinds]
     else:
         found = [CriticalSpeeds(run.id, order, run.speed, ()) for run in tracked.runs for order in kinds]
         note("critical speeds are told without --filter: a filter makes resonances broader, and their noise smooth")
@@ -164,7 +166,7 @@ def command(
         note(f"written: {folder}")
     show(as_json, lambda: text.orders_data(tracked, found if width is None else [], span), lambda: words)
     untold = [f"{one.run}, {one.order}X" for one in found if not (one.found or one.explained)]
-    hint = "a speed that turns back, a rub, a clipped probe? the figure shows what the modes leave"
+    hint = "lead taken for lag, a speed that turns back, a rub, a clipped probe? the figure shows what the modes leave"
     what = "the motion is not that of linear modes, and no critical speed is told"
     refuse_if(untold, what, "; ".join(untold), hint=hint, exit_code=1)
 
@@ -183,9 +185,28 @@ def _read(chosen: Chosen) -> Recording | OrderRecording:
     from rotorsim.simulation.run import simulate
 
     loaded = chosen.open()
-    result = simulate(loaded, record=tuple(dict.fromkeys([*map(str, loaded.record), ANGLE])))
+    signals = tuple(dict.fromkeys([*map(str, loaded.record), ANGLE]))
+    result = simulate(loaded, record=signals, initial=_settled_at_first(loaded))
     refuse_if(result.status != "finished", result.message, loaded.name, exit_code=1)
     return as_recording(result, loaded.name)
+
+
+def _settled_at_first(loaded: Diagram) -> np.ndarray | None:
+    """Return the settled motion at the speed that a ramp begins with, if it turns: from rest it would ring there."""
+    from rotorsim.settled.periodic import settled_start
+
+    ramps = [
+        name
+        for name, node in loaded.nodes.items()
+        if node.block.category == "clock" and getattr(node.block.option, "profile", "") == "ramp"
+    ]
+    if len(ramps) != 1 or not float(loaded.nodes[ramps[0]].values["speed"]):
+        return None
+    try:
+        return settled_start(loaded, parameters={f"{ramps[0]}.acceleration": 0.0})
+    except RotorsimError as error:
+        note(f"the run begins from rest: {error.problems[0].what}")
+        return None
 
 
 def _given(read: Recording | OrderRecording, runs: Sequence[str], orders: Sequence[int], turns: int) -> Given:
@@ -200,11 +221,16 @@ def _given(read: Recording | OrderRecording, runs: Sequence[str], orders: Sequen
         refuse_if(missing, f"no channel of order {', '.join(map(str, missing))}", read.name, hint=f"there: {there}")
         some = tuple(run for run in read.runs if not ids or run.id in ids)
         return Given(replace(read, runs=some), None, ())
+    from rotorsim.measure.checks import AT_FAULT, check_signals
     from rotorsim.signals.orders.extraction import tracked_recording
     from rotorsim.signals.orders.steady import steady_recording
     from rotorsim.signals.turning import is_run_up
 
     chosen = [run for run in read.runs if run.id in ids] if ids else None
+    wrong = check_signals(replace(read, runs=tuple(chosen or read.runs)))
+    refuse_all([one for one in wrong if one.code == "tacho"], exit_code=1)
+    show_problems([one for one in wrong if one.code in AT_FAULT])
+    read = _moving(read, chosen or read.runs, {one.subject for one in wrong if one.code == "constant_signal"})
     rising = [run for run in chosen or read.runs if is_run_up(read, run)]
     if not rising and len(chosen or read.runs) > 1:
         refuse_if(turns > 1, "--turns: runs at constant speeds are a row each", read.name)
@@ -215,6 +241,39 @@ def _given(read: Recording | OrderRecording, runs: Sequence[str], orders: Sequen
     if left and not ids:
         note(f"at one speed, and left out: {', '.join(left)}")
     return Given(tracked, read, positions)
+
+
+def _single_turns(given: Given, kinds: Sequence[int], turns: int, slow: tuple[float, float] | None) -> OrderRecording:
+    """Return rows of one turn, which modes are fitted to: within longer ones a vector may change by more than they say.
+
+    Where samples are too few for these, the rows as they are.
+    """
+    from rotorsim.signals.orders.extraction import tracked_recording
+
+    if turns == 1 or given.sampled is None:
+        return given.orders
+    own = {run.id for run in given.orders.runs}
+    try:
+        single = tracked_recording(given.sampled, kinds, 1, [run for run in given.sampled.runs if run.id in own])[0]
+    except RotorsimError:
+        note(f"critical speeds are told from rows of {turns} turns: samples are too few for rows of one")
+        return given.orders
+    note("critical speeds are told from rows of one turn")
+    if slow is None:
+        return single
+    from rotorsim.signals.orders.slow_roll import without_slow_roll
+
+    return without_slow_roll(single, *slow)
+
+
+def _moving(read: Recording, runs: Sequence[Run], still: Collection[str]) -> Recording:
+    """Return a recording without probes that show nothing; still: run and column of those, as problems name them."""
+    from rotorsim.recordings.recording import ANGLE, TACHO
+
+    probes = [column for column, one in read.channels.items() if one.signal not in (ANGLE, TACHO)]
+    dead = {column for column in probes if all(f"{run.id}: column {column}" in still for run in runs)}
+    refuse_if(len(dead) == len(probes), "no channel shows a motion", read.name, exit_code=1)
+    return replace(read, channels={key: one for key, one in read.channels.items() if key not in dead})
 
 
 def _passband(text: str) -> Passband:

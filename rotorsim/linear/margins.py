@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -156,6 +156,11 @@ def margins(
     hz, S = _judged(loop, top, limits)
     diagonal = np.diagonal(S, axis1=1, axis2=2)
     if dead := np.flatnonzero(np.abs(diagonal - 1).max(axis=0) < 1e-12).tolist():
+        live = [axis.name for k, axis in enumerate(loop.axes) if k not in dead]
+        if live and not named:
+            found = margins(diagram, live, parameters=parameters, frequencies=frequencies, at=at, limits=limits)
+            left = [f"'{loop.axes[k].name}': no loop passes there, it is left out" for k in dead]
+            return replace(found, notes=(*left, *found.notes))
         hint = "name a port of the loop: the sensor's signal of a controller, or its output"
         raise RotorsimError(*(Problem("no loop passes through this port", loop.axes[k].name, hint=hint) for k in dead))
     axes = tuple(_axis(loop, k, hz, diagonal[:, k], top, limits) for k in range(len(loop.axes)))

@@ -16,6 +16,7 @@ from rotorsim.signals.shaft_angle import pulse_edges, run_up_in_words, shaft_ang
 from rotorsim.signals.stretches import clipped_stretches, flat_stretches
 from rotorsim.units import conversion, parse_unit
 
+AT_FAULT = ("constant_signal", "clipped_signal", "flat_stretch", "wrong_unit")  # a probe that does not show the motion
 _LARGE, _SMALL = 5e-3, 1e-9  # m, rms of a rotor's displacement
 _CURRENT = 1e3  # A
 _HUGE, _TINY = 1e50, 1e-50  # in any unit
@@ -77,13 +78,18 @@ class _RunCheck:
         if count < 2:
             return [self.problem("empty_run", f"empty run: {count} sample{'s' * (count != 1)}", error=True)]
         found = list(self.time())
-        for column, values in self.run.values.items():
+        for column, values in self.values.items():
             found += self.column(self.recording.channels[column], values)
         turnings, wrong = self.turnings()
         found += [*wrong, *self.contradictions(turnings)]
         if turnings and not any(problem.severity == "error" for problem in found):
             found += self.steadiness(turnings[0])
         return [*found, *self.phase_reference()]
+
+    @property
+    def values(self) -> dict[str, np.ndarray]:
+        """The samples of the channels that the recording has."""
+        return {column: values for column, values in self.run.values.items() if column in self.recording.channels}
 
     @property
     def turns(self) -> bool:
@@ -246,7 +252,7 @@ class _RunCheck:
         """Return the speed by each of stated pulses, a pulse signal and the angle, and what is wrong with pulses."""
         time = self.run.time
         rises = bool(np.all(np.isfinite(time)) and np.all(np.diff(time) > 0))
-        signals = {self.recording.channels[c].signal: values for c, values in self.run.values.items()}
+        signals = {self.recording.channels[c].signal: values for c, values in self.values.items()}
         kinds = [kind for kind in (ANGLE, TACHO) if rises and kind in signals]
         signals = {kind: signals[kind] for kind in kinds if np.all(np.isfinite(signals[kind]))}
         trains = {} if self.run.tacho is None else {"the tacho": self.run.tacho}
@@ -404,7 +410,7 @@ def _vote(values: Mapping[str, np.ndarray], axes: Mapping[str, str], currents: M
 
 
 def _shown(value: float, channel: Channel) -> str:
-    return f"{value / conversion(channel.unit, None):.6g} {channel.unit}"
+    return f"{value / conversion(channel.unit, None) + 0.0:.6g} {channel.unit}"  # zero has no sign
 
 
 def _rpm(speed: float) -> str:

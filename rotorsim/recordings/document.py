@@ -222,7 +222,9 @@ class DocumentParser:
         form = self.form("recording", self.source.data, ())
         if form is None:
             return None
-        self.choice(form, "kind", (self.kind,), (), "recording")
+        self.choice(
+            form, "kind", tuple(OTHER_KINDS) if form.get("kind") != self.kind else (self.kind,), (), "recording"
+        )
         self.not_empty(form)
         channels = self.channels(form.get("channels", {}))
         runs = self.runs(form.get("runs", []), form.get("time"), list(form.get("channels", {})))

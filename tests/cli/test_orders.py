@@ -180,6 +180,48 @@ def test_a_diagram_at_one_speed_is_refused(run: Run) -> None:
     )
 
 
+def test_a_table_at_one_speed_is_refused(run: Run, table: Path) -> None:
+    """FAULT: it ended with a division by zero."""
+    _changed(table, lambda columns: columns.update(rpm=0 * columns["rpm"] + 3000))
+    found = run("orders", str(table), "--order", "1")
+    assert found.exit_code == 1
+    assert "error: run up: its speed does not change\n" in found.stderr
+
+
+@pytest.mark.slow
+def test_what_a_run_has_not_passed_is_not_judged(run: Run, table: Path) -> None:
+    """FAULT: a run that ended before the operating speeds said "no critical speed"."""
+    found = run("orders", str(table), "--order", "1", "--operating", "5000 rpm:5500 rpm", "--json")
+    [critical] = json.loads(found.stdout)["critical_speeds"]
+    [(first, last)] = critical["not_passed"]
+    assert first == pytest.approx(500.0, rel=0.01)
+    assert last == pytest.approx(1.26 * 5500 * np.pi / 30)
+    said = run("orders", str(table), "--order", "1", "--operating", "5000 rpm:5500 rpm").stdout.splitlines()[-1]
+    assert said.startswith("not judged: 47")
+    assert said.endswith(" to 6930 rpm, where a critical speed might be too near: the run does not pass there")
+
+
+@pytest.mark.slow
+def test_the_coast_down_of_a_diagram_begins_settled(run: Run) -> None:
+    """FAULT: it began from rest at full speed, rang, and had a damping ratio of 0.092."""
+    falls = ["--set=acceleration=-300 rad/s^2", "--set=speed=9000 rpm", "--set=speed_limit=100 rpm"]
+    found = run("orders", "jeffcott_runup", "--without", "crack", *QUICK[1:], *falls, "--order", "1", "--json")
+    [critical] = json.loads(found.stdout)["critical_speeds"]
+    [one] = critical["found"]
+    assert one["damping_ratio"] == pytest.approx(0.0661, rel=0.01)
+    assert one["speed"] * 30 / np.pi == pytest.approx(7330.9, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_long_rows_invent_no_critical_speed(run: Run) -> None:
+    """FAULT: of rows of three turns on a quick run-up four critical speeds were told, of a machine with one."""
+    found = run("orders", "jeffcott_runup", "--without", "crack", *QUICK, "--order", "1", "--turns", "4", "--json")
+    assert "critical speeds are told from rows of one turn" in found.stderr
+    data = json.loads(found.stdout)
+    assert [run["turns"] for run in data["runs"].values()] == [4]
+    assert [one["speed"] for one in data["critical_speeds"][0]["found"]] == pytest.approx([767.7], rel=1e-3)
+
+
 def _changed(folder: Path, change: Callable[[dict[str, np.ndarray]], object]) -> None:
     """Change the columns of the table in a folder."""
     with (folder / "up.csv").open() as file:

@@ -1,5 +1,6 @@
 """Margins of bearing loops against closed forms; sampled loops against the z-transform of a first-order plant."""
 
+import copy
 import json
 import math
 import re
@@ -197,6 +198,27 @@ def test_ports_outside_a_loop_and_unknown_ones_are_refused_all_at_once():
         "where a sensor's signal arrives, or the output of a controller"
     )
     assert refused(diagram, frequencies=[0.0]) == "error: frequencies: frequencies must be positive and finite [Hz]"
+
+
+def one_axis():
+    """Return the rotor with its controller wired in x alone, a magnet that gets nothing in y."""
+    document = copy.deepcopy(dict(load("jeffcott").document))
+    document["wires"] = [wire for wire in document["wires"] if wire != ["controller.current", "amb.current"]]
+    document["blocks"] |= {"zero": {"type": "constant"}, "mux": {"type": "mux", "parameters": {}}}
+    document["blocks"]["zero"]["parameters"] = {"value": 0.0}
+    document["wires"] += [["controller.current[1]", "mux.input1"], ["zero.output", "mux.input2"]]
+    document["wires"] += [["mux.output", "amb.current"]]
+    return load(document)
+
+
+@pytest.mark.slow
+def test_an_axis_without_a_loop_is_left_out_and_said_to_be():
+    """FAULT: a controller with one axis in its loop was refused, the sound axis with the other."""
+    found = margins(one_axis())
+    assert [axis.name for axis in found.axes] == ["controller.displacement[1]"]
+    assert found.notes[0] == "'controller.displacement[2]': no loop passes there, it is left out"
+    whole = margins(load("jeffcott"))
+    assert found.peak == pytest.approx(whole.axes[0].peak, rel=1e-6)
 
 
 def test_sampled_blocks_beside_a_nonlinear_bearing_are_refused():

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from rotorsim.settled.result import Periodic
 
 
+MOST_CURVES = 8  # of a frequency response: more hide one another, and their legend takes the figure
+PHASE_MARKS = 6  # about so many, at quarter turns
 LABEL_OFFSETS = (-13, 5, -25, 17, -37, 29, -49, 41)  # points below or above a mark at which its speed is written
 _WHIRL = {"forward": (BLUE, "-"), "backward": (ORANGE, "--"), "planar": (GREEN, ":")}
 
@@ -142,15 +144,20 @@ def _top(result: Campbell, orders: Sequence[int]) -> float:
 def frequency_response_figure(response: FrequencyResponse, title: str = "") -> Figure:
     """Return magnitude and phase over frequency of every output to every input (entries that are zero left out).
 
-    Of a loop that is not stable the figure says so: it would never settle to this response.
+    Of many entries the MOST_CURVES that grow largest are drawn, and the title says so. Of a loop that is not stable the
+    figure says so: it would never settle to this response.
     """
     if not response.stable:
         title = f"{title} (not stable: no settled response)".strip()
+    pairs = list(np.ndindex(response.value.shape[1:]))
+    sizes = {(o, i): float(np.nanmax(np.abs(response.value[:, o, i]), initial=0.0)) for o, i in pairs}
+    drawn = [pair for pair in pairs if sizes[pair] > 1e-12 * max(sizes.values(), default=0.0)]
+    if len(drawn) > MOST_CURVES:
+        title = f"{title} (the {MOST_CURVES} largest of {len(drawn)})".strip()
+        kept = sorted(drawn, key=lambda pair: -sizes[pair])[:MOST_CURVES]
+        drawn = [pair for pair in drawn if pair in kept]
     made = figure(7.5, 5.0, title)
     upper, lower = made.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    largest = float(np.nanmax(np.abs(response.value), initial=0.0))
-    pairs = list(np.ndindex(response.value.shape[1:]))
-    drawn = [(o, i) for o, i in pairs if np.nanmax(np.abs(response.value[:, o, i]), initial=0.0) > 1e-12 * largest]
     for k, (o, i) in enumerate(drawn):
         value, line = response.value[:, o, i], LINE_STYLES[k % 4]
         label = f"{response.outputs[o]} / {response.inputs[i]} [{response.units[o][i]}]"
@@ -161,7 +168,8 @@ def frequency_response_figure(response: FrequencyResponse, title: str = "") -> F
     units = {response.units[o][i] for o, i in drawn}
     upper.set(ylabel=f"magnitude [{units.pop()}]" if len(units) == 1 else "magnitude", xmargin=0)
     lower.set(ylabel="phase [deg]", xlabel="frequency [Hz]", xmargin=0)
-    lower.yaxis.set_major_locator(MultipleLocator(90))
+    low, high = lower.get_ylim()
+    lower.yaxis.set_major_locator(MultipleLocator(90 * max(1, round((high - low) / (90 * PHASE_MARKS)))))
     if drawn:
         legend_below(made, upper, 2)
     return made

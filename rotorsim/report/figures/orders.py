@@ -57,8 +57,8 @@ def bode_plot(tracked: Tracked, title: str) -> Figure:
         unit, factor = _shown(channel)
         curves: list[tuple[np.ndarray | None, dict[str, Any], str]] = [
             (tracked.run.vectors[name], {"ls": "", "marker": ".", "ms": 3.0}, channel.name),
-            (tracked.found.fitted.get(name), {"lw": 1.0}, ""),
-            (tracked.found.settled.get(name), {"lw": 1.0, "ls": ":"}, ""),
+            (_on(tracked, tracked.found.fitted.get(name)), {"lw": 1.0}, ""),
+            (_on(tracked, tracked.found.settled.get(name)), {"lw": 1.0, "ls": ":"}, ""),
             (tracked.simulated.get(name), {"lw": 1.2, "ls": "--"}, ""),
         ]
         for k, (values, look, what) in enumerate(curves):
@@ -79,6 +79,15 @@ def bode_plot(tracked: Tracked, title: str) -> Figure:
     phase.set(ylabel="phase lag [deg]", xlabel="speed [rpm]", ylim=(0, 360), yticks=[0, 90, 180, 270, 360])
     legend_below(made, amplitude, 3)
     return made
+
+
+def _on(tracked: Tracked, values: np.ndarray | None) -> np.ndarray | None:
+    """Return a curve over the speeds of the fit at the nearest of them to those of the rows."""
+    if values is None or len(values) == len(tracked.run.speed):
+        return values
+    order = np.argsort(tracked.found.speed, kind="stable")
+    fine = tracked.found.speed[order]
+    return np.asarray(values[order][np.clip(np.searchsorted(fine, tracked.run.speed), 0, len(fine) - 1)])
 
 
 def _shown(channel: OrderChannel) -> tuple[str, float]:

@@ -13,7 +13,7 @@ from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
 from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.text.table import counted, display_unit, rpm, table
 from rotorsim.signals.orders.critical_speeds import CriticalSpeed, CriticalSpeeds
-from rotorsim.signals.orders.resonance import RESPONSIVE, Peak, peak_in
+from rotorsim.signals.orders.resonance import RESPONSIVE, Peak, peak_in, unmeasured
 from rotorsim.units import conversion
 
 WHIRLS = ((0.2, "forward"), (-0.2, "planar"), (-np.inf, "backward"))  # from which share of a circle
@@ -86,14 +86,15 @@ def wanders(run: OrderRun) -> bool:
 def critical_text(found: CriticalSpeeds, channels: Mapping[str, OrderChannel], operating: Operating | None) -> str:
     """Return the critical speeds of one order of a run."""
     head = f"{found.order}X: "
+    operating = operating if found.order == 1 else None  # margins are of what unbalance drives
+    lacks = "" if operating is None else f"\n{gaps_text(found, operating)}".rstrip()
     if not found.found:
         between = f"between {rpm(found.speed.min()):.5g} and {rpm(found.speed.max()):.5g} rpm"
         if found.explained:
-            return head + f"no critical speed {between}"
+            return head + f"no critical speed {between}{lacks}"
         what = f"linear modes leave {found.excess:.3g} times the variance of the noise"
-        return head + f"no critical speed is told {between}: {what}"
+        return head + f"no critical speed is told {between}: {what}{lacks}"
     shown = [name for name in channels if name in found.found[0].vectors][:SHOWN_CHANNELS]
-    operating = operating if found.order == 1 else None  # margins are of what unbalance drives
     columns = [of_amplitude(channels[name].name) for name in shown]
     margins = [] if operating is None else ["SM", "required", ""]
     lines = []
@@ -109,7 +110,20 @@ def critical_text(found: CriticalSpeeds, channels: Mapping[str, OrderChannel], o
     text = table(header, lines)
     if not found.explained:
         text += f"\nthe modes leave {found.excess:.3g} times the variance of the noise: intervals are wider for it"
-    return text
+    return text + lacks
+
+
+def gaps_text(found: CriticalSpeeds, operating: Operating) -> str:
+    """Return at which speeds a critical speed might be too near, and none can have been seen; "" where at none."""
+    gaps = _gaps(found, operating)
+    if not gaps:
+        return ""
+    spans = " and ".join(f"{rpm(a):.5g} to {rpm(b):.5g} rpm" for a, b in gaps)
+    return f"not judged: {spans}, where a critical speed might be too near: the run does not pass there"
+
+
+def _gaps(found: CriticalSpeeds, operating: Operating) -> list[tuple[float, float]]:
+    return unmeasured(float(found.speed.min()), float(found.speed.max()), *operating)
 
 
 def whirl_text(one: CriticalSpeed) -> str:
@@ -177,7 +191,7 @@ def _critical_data(found: CriticalSpeeds, operating: Operating | None) -> dict[s
             | ({} if operating is None or found.order != 1 else _margin_data(one, operating))
             for one in found.found
         ],
-    }
+    } | ({} if operating is None or found.order != 1 else {"not_passed": _gaps(found, operating)})
 
 
 def _margin_data(one: CriticalSpeed, operating: Operating) -> dict[str, Any]:

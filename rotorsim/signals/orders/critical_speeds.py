@@ -105,6 +105,9 @@ def critical_speeds(run: OrderRun, channels: Mapping[str, OrderChannel], order: 
     own = [run.vectors[name] for name, one in channels.items() if one.order == order and name in run.vectors]
     if not any(np.isfinite(vectors).any() for vectors in own):
         raise RotorsimError(Problem(f"no channel of {order}X was measured", f"run {run.id}"))
+    if not np.ptp(run.speed) > 0:
+        hint = "rotorsim spectrum shows harmonics of runs at one speed"
+        raise RotorsimError(Problem("its speed does not change", f"run {run.id}", run.place, hint), exit_code=1)
     data = PassedRun.of(run, channels, order)
     return _said(run, channels, order, data, _chosen(data))
 
@@ -138,7 +141,8 @@ def _said(
     run: OrderRun, channels: Mapping[str, OrderChannel], order: int, data: PassedRun, fit: ModalFit
 ) -> CriticalSpeeds:
     """Return what a fit says, intervals by its Jacobian and what it leaves."""
-    variance = max(fit.excess, data.least) * slowness(fit.left)
+    counted = slowness(fit.left) if fit.excess <= MUCH else sum(int(np.isfinite(e).sum()) for e in fit.left)
+    variance = max(fit.excess, data.least) * counted
     low, high = float(data.rows.min()), float(data.rows.max())
     covariance = covariance_of(data, fit) * variance if len(fit.modes) else np.zeros((0, 0))
     found: list[CriticalSpeed] = []

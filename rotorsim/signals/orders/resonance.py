@@ -21,6 +21,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 RESPONSIVE = 2.5  # AF from which a separation margin is needed
 MOST_BELOW, MOST_ABOVE = 16.0, 26.0  # %: largest margins that are required
+COVERED = 0.005  # of a speed, that a run may end before one and has passed it all the same
 HALF_POWER = 1 / sqrt(2)
 REACH, GRID = 6.0, 60  # half widths to each side of a peak, and places there, between which it is looked for
 PEAK_SEARCH = {"xatol": 1e-9}
@@ -129,6 +130,16 @@ class Margin:
     def met(self) -> bool:
         """Whether the critical speed is far enough away, or too well damped to matter."""
         return self.actual >= self.required
+
+
+def unmeasured(low: float, high: float, lowest: float, highest: float) -> list[tuple[float, float]]:
+    """Return the speeds at which a critical speed may be too near, and that a run from low to high has not passed.
+
+    From the largest margin below the lowest operating speed to the largest above the highest one.
+    """
+    first, last = lowest * (1 - MOST_BELOW / 100), highest * (1 + MOST_ABOVE / 100)
+    parts = (first, min(low, last)), (max(high, first), last)
+    return [(a, b) for a, b in parts if b - a > COVERED * b]
 
 
 def separation_margin(critical: float, amplification: float, lowest: float, highest: float) -> Margin:

@@ -1,0 +1,43 @@
+"""What is wrong with the probes of a recording: nothing that they show is a proof that a limit is met."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.measure.checks import AT_FAULT, check_signals
+from rotorsim.recordings.orders import OrderRecording
+from rotorsim.recordings.recording import Recording
+from rotorsim.units import parse_unit
+
+DISPLACEMENT = "displacement"
+UNUSABLE = ("tacho", "impossible_size", "empty_run")  # codes of `check_signals`
+
+
+def faults_of(recording: Recording) -> dict[tuple[str, str], str]:
+    """Return run and column of each displacement that cannot be as it was recorded, and why, in words.
+
+    Raises RotorsimError where speeds or sizes are not to be believed: lost pulses, for example.
+    """
+    problems = check_signals(recording)
+    refused = [one for one in problems if one.code in UNUSABLE and one.severity == "error"]
+    if refused:
+        raise RotorsimError(*refused, exit_code=1)
+    said = {one.subject: one.what for one in problems if one.code in AT_FAULT}
+    columns = [key for key, one in recording.channels.items() if one.signal.endswith(DISPLACEMENT)]
+    every = {(run.id, column): f"{run.id}: column {column}" for run in recording.runs for column in columns}
+    return {key: said[subject] for key, subject in every.items() if subject in said}
+
+
+def refuse_units(recordings: Iterable[Recording | OrderRecording]) -> None:
+    """Raise RotorsimError for displacements that are no lengths: volts of a probe say nothing without its scale."""
+    length = parse_unit("m").dimension
+    problems = []
+    for recording in recordings:
+        for column, one in recording.channels.items():
+            if one.signal.endswith(DISPLACEMENT) and parse_unit(one.unit).dimension != length:
+                hint = "give the values times the scale of the probe, as a length"
+                what = f"'{one.signal}' in {one.unit} is no displacement"
+                problems.append(Problem(what, f"{recording.name}: column {column}", hint=hint))
+    if problems:
+        raise RotorsimError(*problems)
