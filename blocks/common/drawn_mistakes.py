@@ -32,7 +32,7 @@ def mistakes(option: Any, given: Given) -> list[Mistake]:
         found += _needed(name, of, what, len(getattr(option, of)), given, hint)
     for prefix, what, of in _WALLS:
         found += _walls(prefix, what, len(getattr(option, of)), given)
-    return [*found, *_bores(option, given)]
+    return [*found, *_bores(option, given), *_overlaps(option, given)]
 
 
 def _lists(option: Any) -> Iterator[Mistake]:
@@ -101,6 +101,37 @@ def _walls(prefix: str, what: str, count: int, given: Given) -> Iterator[Mistake
         if bore >= wide > 0:
             text = f"{bore * 1e3:g} mm of {what} {k + 1} must be smaller than its outer diameter, {wide * 1e3:g} mm"
             yield name, (k,) if given[name].ndim else (), text, "a solid one has 0"
+
+
+def _overlaps(option: Any, given: Given) -> Iterator[Mistake]:
+    """Yield discs that share material with an earlier one, and those that touch neither shaft nor sleeve."""
+    count = len(option.drawn_disc_positions)
+    sizes = [full(given.get(f"drawn_disc_{key}", 0.0), count) for key in ("width", "inner_diameter", "outer_diameter")]
+    if any(len(size) != count for size in sizes) or not all(sizes[0]) or not all(sizes[2]):  # said elsewhere
+        return
+    discs = [
+        (z - width / 2, z + width / 2, bore, outer)
+        for z, width, bore, outer in zip(option.drawn_disc_positions, *sizes, strict=True)
+    ]
+    sleeves = zip(
+        sleeve_ends(option), full(given.get("sleeve_outer_diameter", 0.0), len(option.sleeve_begins)), strict=False
+    )
+    carried = [(a, b, outer) for (a, b), outer in sleeves]
+    carried += [
+        (one.begin, one.end, max(map(one.outer_at, (one.begin, one.end)))) for one in sections_of(option, given)
+    ]
+    carried += [(a, b, outer) for a, b, _, outer in discs]
+    for k, (begin, end, bore, outer) in enumerate(discs):
+        for j, (first, last, hole, wide) in enumerate(discs[:k]):
+            along, across = min(end, last) - max(begin, first), min(outer, wide) - max(bore, hole)
+            if along > FITS * min(end - begin, last - first) and across > FITS * min(outer, wide):
+                what = f"disc {k + 1} and disc {j + 1} share {along * 1e3:.4g} mm of the axis"
+                yield "drawn_disc_positions", (k,), what, "their material would count twice"
+        within = [size for a, b, size in carried if a < end and b > begin and size < outer]
+        if bore and bore > max(within, default=0.0) * (1 + FITS):
+            inside = f"{bore * 1e3:g} mm, and what is in it {max(within, default=0.0) * 1e3:g} mm"
+            what = f"the bore of disc {k + 1} is {inside}"
+            yield "drawn_disc_positions", (k,), what, "nothing would carry it: give the shaft's diameter, or a sleeve"
 
 
 def _bores(option: Any, given: Given) -> Iterator[Mistake]:

@@ -266,3 +266,18 @@ def test_a_parameter_that_an_option_follows_cannot_be_free() -> None:
         "error: identify.longest: is followed by the option rotor.longest_element\n\n"
         "hint: free a parameter of the block: options stay as they are"
     )
+
+
+def test_discs_that_share_material_or_hang_in_the_air_are_mistakes() -> None:
+    """A hub and a rim that it carries are none."""
+    sizes = {"drawn_disc_width": ["50 mm", "55 mm"], "drawn_disc_outer_diameter": "200 mm"}
+    assert written(drawn(drawn_disc_positions=["200 mm", "240 mm"], drawn_disc_inner_diameter="50 mm", **sizes)) == [
+        "rotor.drawn_disc_positions: disc 2 and disc 1 share 12.5 mm of the axis | their material would count twice"
+    ]
+    assert written(drawn(drawn_disc_positions=["150 mm", "250 mm"], drawn_disc_inner_diameter="60 mm", **sizes)) == [
+        f"rotor.drawn_disc_positions: the bore of disc {k} is 60 mm, and what is in it 50 mm | "
+        "nothing would carry it: give the shaft's diameter, or a sleeve"
+        for k in (1, 2)
+    ]
+    rim = {"drawn_disc_inner_diameter": ["50 mm", "120 mm"], "drawn_disc_outer_diameter": ["120 mm", "200 mm"]}
+    assert load(drawn(drawn_disc_positions=["200 mm", "200 mm"], drawn_disc_width="50 mm", **rim))
