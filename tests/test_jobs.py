@@ -416,6 +416,7 @@ def test_ctrl_c_and_a_kill_keep_results_and_leave_no_process(tmp_path, how):
         main.communicate()  # closes its pipe, too
 
 
+@pytest.mark.slow
 def test_scheduler_out_of_reach_is_said(monkeypatch):
     monkeypatch.setattr(cluster, "CONNECT_TIMEOUT", 0.2)
     with socket.socket() as taken:

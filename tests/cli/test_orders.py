@@ -137,6 +137,7 @@ def test_a_table_is_written_and_read_back(run: Run, table: Path) -> None:
     assert "slow roll was subtracted already" in again.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [

@@ -86,6 +86,7 @@ def test_only_what_the_diagram_records_is_written(run) -> None:
     assert set(Path().iterdir()) == {Path("r.csv"), Path("r.csv.meta.json")}
 
 
+@pytest.mark.slow
 def test_plot(run) -> None:
     assert run("run", "jeffcott", "--stop", "0.2", "--plot", "a.png").exit_code == 0
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")

@@ -79,6 +79,7 @@ def test_runs_that_do_not_finish(run: Run) -> None:
     assert found.stderr.endswith("hint: the table says which: --out FILE.csv\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "title"),
     [

@@ -262,6 +262,7 @@ def decay(x: np.ndarray, period: float) -> complex:
     return complex(np.log(roots[np.argmax(roots.imag)]) / period)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("master", "order", "step"),
     [("gauss_seidel", 1, 2e-4), ("jacobi", 0, 2e-4), ("jacobi", 0, 1e-4), ("jacobi", 1, 2e-4)],

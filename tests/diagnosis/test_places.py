@@ -123,6 +123,7 @@ def assert_noise(bound: float, base: Fit, taken: int) -> None:
     assert low < bound < high
 
 
+@pytest.mark.slow
 def test_the_place_of_a_force_leaves_noise_and_others_far_more():
     """Two forces, 2 ORDERS + 1 real numbers each, are free in each of six runs; so are two moments for a crack."""
     source, base, places = concealing("residual_bow/0@rotor.force[4]")

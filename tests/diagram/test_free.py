@@ -51,8 +51,8 @@ def test_names_values_units_and_declared_bounds():
     assert [(item.name, item.base, item.entry, item.value, item.low, item.high) for item in found.values()] == [
         ("eccentricity", "eccentricity", 0, 24e-6, 0.0, np.inf),
         ("rotor.viscous_damping", "rotor.viscous_damping", 0, 76.0, -np.inf, np.inf),
-        ("left.stiffness[1]", "left.stiffness", 0, 4e8, -np.inf, np.inf),
-        ("left.stiffness[2]", "left.stiffness", 1, 9e8, -np.inf, np.inf),
+        ("left.stiffness[1]", "left.stiffness", 0, 4e8, 0.0, np.inf),
+        ("left.stiffness[2]", "left.stiffness", 1, 9e8, 0.0, np.inf),
         ("two[2]", "two", 1, 2.0, -np.inf, np.inf),
         ("other", "other", 0, 3.0, -np.inf, np.inf),
     ]

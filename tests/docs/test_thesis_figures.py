@@ -23,6 +23,7 @@ def test_the_page_has_a_picture_and_a_caption_for_each_figure() -> None:
     assert [file.name for file in files if file.stat().st_size > LARGEST] == []
 
 
+@pytest.mark.slow
 def test_the_command_draws_a_figure_as_it_is_shown(tmp_path, capsys) -> None:
     main(["figures", "2-10", "--out", str(tmp_path)])
     file = tmp_path / "figure-2-10.png"

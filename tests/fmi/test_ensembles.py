@@ -17,6 +17,7 @@ SPEEDS = [150.0, 200.0, 260.0]
 OPTIONS: dict[str, Any] = {"stop": 0.1, "reduce": ["peak", "rms", "harmonics=2", "poincare", "last"]}
 
 
+@pytest.mark.slow
 @BOTH
 @REPLACED
 def test_they_are_those_of_the_plain_diagram(fmu: Make, block: str, version: str) -> None:

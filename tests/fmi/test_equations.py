@@ -48,6 +48,7 @@ def with_fmu(
     return load(document, trust_blocks=trust)
 
 
+@pytest.mark.slow
 @BOTH
 @REPLACED
 def test_a_run_is_that_of_the_plain_diagram(fmu: Make, block: str, version: str) -> None:

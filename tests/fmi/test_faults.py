@@ -244,6 +244,7 @@ def test_a_diagnosis_goes_on_where_the_fmu_crashes(
 # -- instances ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "said"),
     [

@@ -42,6 +42,7 @@ def places(diagram: Diagram) -> set[tuple[str, int, str]]:
     return {(item.physics, item.variant, str(item.spot)) for item in insertions(diagram, RECORDED)}
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize("block", ["rotor", "controller", "amb"])
 def test_the_same_candidates_as_around_plain_blocks(fmu: Make, block: str, version: str) -> None:

@@ -97,6 +97,7 @@ def test_two_balls_of_one_file_have_modes_of_their_own(file: Path) -> None:
         np.testing.assert_allclose(found[name], ball(found.time, height), atol=1e-9)
 
 
+@pytest.mark.slow
 @METHODS
 def test_a_wall_in_a_loop(tmp_path: Path, method: str) -> None:
     """A relay of the FMU in a loop with a lag of the diagram, against an integration of the equations in this test."""
@@ -163,6 +164,7 @@ def test_growth_in_steps_that_are_too_large_is_told(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("in_process", [True, False])
 def test_an_fmu_that_refuses_what_has_grown_is_not_the_cause(fmu: Make, in_process: bool) -> None:
     """An unstable gain: e^(3143 t) is beyond all bounds (1e290) before the rotor discards what is not finite."""
@@ -297,6 +299,7 @@ def off(made: Result, plain: Result, name: str) -> float:
     return float(np.sqrt(((made[name] - plain[name]) ** 2).mean() / (plain[name] ** 2).mean()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.parametrize("block", ["rotor", "controller"])
 def test_co_simulation_is_off_by_the_error_that_is_told(fmu: Make, block: str, version: str) -> None:

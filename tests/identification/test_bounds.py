@@ -178,6 +178,7 @@ def test_what_is_in_series_is_sought_by_its_reciprocal():
     assert support.moved(5e14, 0, 1e-3) == np.inf
 
 
+@pytest.mark.slow
 def test_a_support_that_an_earlier_fit_made_rigid_is_soft_again():
     """FAULT: in the stiffness itself nothing led back from there; k moved by nothing, and all others adapted."""
     rigid = ["1e14 N/m", "5e13 N/m"]

@@ -65,6 +65,7 @@ def truth(tmp_path_factory):
     return load(str(file))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("start", "rate", "turns", "skip", "timed"),
     [(1250.0, 230.0, 1, 0, False), (1250.0, 230.0, 2, 0, False), (2000.0, -180.0, 2, 1, True)],

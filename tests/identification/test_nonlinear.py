@@ -214,6 +214,7 @@ def test_a_motion_with_saturated_amplifiers_is_found_from_what_was_measured():
     assert (off < 2e-3 * np.abs(found.Y[:, 1]).max(axis=1)).all()  # corners are cut beyond order 24: 1 / 24^2
 
 
+@pytest.mark.slow
 def test_a_nonlinear_diagram_takes_no_measured_inputs():
     from rotorsim.errors import RotorsimError
 

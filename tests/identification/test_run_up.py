@@ -139,6 +139,7 @@ def test_sampled_pulses_are_late_alike(stamped):
         assert one.unit != "rad" or abs(one.value - truth) < np.radians(0.5), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("angle", "most"), [(ramp(600, 3000, 3.0), 1.4), (BENT, 2.0)])
 def test_an_angle_is_as_uncertain_as_its_pulses_make_it(angle, most):
     """Squares of errors over their variance, at 20 instants of 40 draws: one on average.

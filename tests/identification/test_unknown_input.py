@@ -325,6 +325,7 @@ def beside_a_gain_in_another_unit(unit: float):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", [1e-6, 1e9])
 def test_units_of_parameters_do_not_decide_what_can_be_told_of_them(unit):
     """FAULT: beside a gain of 2e-5 one of 50 did not change at all."""

@@ -231,6 +231,7 @@ def test_joint_intervals_hold_all_parameters(one_set):
         assert item.joint90[0] <= item.interval90[0] < item.value < item.interval90[1] <= item.joint90[1]
 
 
+@pytest.mark.slow
 def test_correlation_is_one(one_set):
     np.testing.assert_allclose(np.diag(one_set.correlation), 1.0)
     np.testing.assert_allclose(one_set.correlation, one_set.correlation.T)

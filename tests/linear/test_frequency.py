@@ -62,6 +62,7 @@ def test_a_narrow_peak_of_a_flexible_mode_is_not_passed_over():
     assert all(np.abs(places / (pole.imag / 2 / math.pi) - 1).min() < 0.02 for pole in narrow)
 
 
+@pytest.mark.slow
 def test_sampled_blocks_are_treated_exactly():
     """The response of the controller's output to what is added to it is S - 1."""
     document = json.loads(json.dumps(load("jeffcott").document))

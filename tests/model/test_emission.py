@@ -13,6 +13,7 @@ from rotorsim.simulation.run import simulate
 NAMES = ("jeffcott", "jeffcott_elementary", "offset_disc", "fe_rigid", "fe_flexible", "jeffcott_runup")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_c_right_hand_side_is_the_traced_one(name):
     model = compile_diagram(load(name))

@@ -57,6 +57,7 @@ def aligned(rows: int, lanes: int) -> np.ndarray:
     return room[skip : skip + rows * lanes].reshape(rows, lanes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lanes", [1, 2, 4, 8])
 def test_every_operation_is_that_of_doubles_to_the_last_bit(lanes: int) -> None:
     vectors, n = compiled(lanes)

@@ -268,6 +268,7 @@ def test_curves_over_speed_go_through_what_the_diagram_says_at_the_runs() -> Non
     }
 
 
+@pytest.mark.slow
 def test_orbits_close_and_have_both_axes() -> None:
     made = orbits_figure(held_runs(bowed()))
     assert made is not None

@@ -35,6 +35,7 @@ def eigenvalues(diagram: dict, speed: float) -> np.ndarray:
     return np.array([mode.eigenvalue for mode in modes(load(diagram, set={"speed": speed})).modes])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "speed", "expected"), REFERENCE, ids=[f"{n}-{w:g}" for n, w, _ in REFERENCE])
 def test_eigenvalues_are_those_of_ross(name: str, speed: float, expected: list[complex], folder: Path) -> None:
     found = eigenvalues(document(name, folder), speed)[: len(expected)]

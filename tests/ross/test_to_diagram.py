@@ -42,6 +42,7 @@ def said(read: Import, elements: Tables, **more: Any) -> list[str]:
     return [str(problem) for problem in read(toml(elements, **more)).warnings]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROTORS)
 def test_what_is_written_is_canonical_and_without_mistakes(name: str, read: Import) -> None:
     done = read(toml(ROTORS[name]))

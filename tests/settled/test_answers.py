@@ -47,6 +47,7 @@ def test_a_linear_motion_answers_by_its_transfer_matrices():
     assert np.abs(found.answers(added, [3, 5]) - expected).max() < 1e-12 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [[], [asymmetric], [opposed], [asymmetric, opposed]])
 def test_the_answer_to_the_force_of_an_unbalance_is_the_derivative_by_its_eccentricity(changes):
     """F = m e W^2 (cos, sin)(W t + phase) at node 3."""
@@ -61,6 +62,7 @@ def test_the_answer_to_the_force_of_an_unbalance_is_the_derivative_by_its_eccent
     assert np.abs(found.answers(added, NODE_3) - expected).max() < 1e-9 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [[asymmetric], [opposed], [asymmetric, opposed]])
 def test_the_answer_to_all_orders_of_the_force_of_a_crack_is_the_derivative_by_its_stiffness(changes):
     """At node 4, of a force that a motion with the force as its output tells."""

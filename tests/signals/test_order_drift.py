@@ -53,6 +53,7 @@ def test_a_drift_is_found_exactly_beside_other_orders():
     np.testing.assert_allclose(item.fit.values - found.leaked, steady, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_repeated_measurements():
     """Of 50, the mean of chi-squared of 16 numbers has a standard deviation of sqrt(2 * 16 / 50) = 0.8."""
     total = 0.0

@@ -52,6 +52,7 @@ def angle_of(kind: str, speed: float, start: float) -> tuple[ShaftAngle, float]:
     return found, float(np.mean(off - np.round(off.mean() / TURN) * TURN))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [600 * RPM, 1500 * RPM, 2400 * RPM])
 def test_a_pulse_of_two_levels_has_the_uncertainty_of_its_period(speed):
     """Whole samples in a turn: all pulses err alike, uniformly over a period. 200 starts; variance 1 / 12."""

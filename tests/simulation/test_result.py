@@ -144,6 +144,7 @@ def test_importing_results_takes_numpy_alone():
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
 
 
+@pytest.mark.slow
 def test_xarray_has_units_and_axes():
     data = made().to_xarray()
     assert data["rotor.displacement"].dims == ("time", "axis")

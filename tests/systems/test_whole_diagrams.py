@@ -72,6 +72,7 @@ def test_periodic_equals_settled_simulation(name: str) -> None:
     assert max(found.values()) <= 1e-6, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(figures.NONLINEAR))
 def test_periodic_equals_settled_simulation_of_nonlinear_models(name: str) -> None:
     model = figures.nonlinear_model(name)
@@ -79,6 +80,7 @@ def test_periodic_equals_settled_simulation_of_nonlinear_models(name: str) -> No
     assert max(found.values()) <= 1e-4, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "reference"),
     [

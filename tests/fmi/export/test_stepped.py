@@ -134,6 +134,7 @@ def test_two_exports_of_one_file_have_tables_of_their_own(tmp_path: Path) -> Non
             np.testing.assert_allclose(made[name], values, atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["communication_step", "held", "taken"])
 def test_names_of_the_fmu_stay_its_own(tmp_path: Path, name: str) -> None:
     file = gauge_fmu(tmp_path, description(real=True).replace('name="scale"', f'name="{name}"'))
@@ -177,6 +178,7 @@ def test_the_end_that_one_asks_for_is_that_of_the_outer_one(tmp_path: Path) -> N
         assert "it asks for the end of the simulation (t = 0.6 s)" in [text for _, _, text in one.messages]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outer", ["2.0", "3.0"])
 def test_a_step_that_fails_is_told(tmp_path: Path, outer: str) -> None:
     make_fmu(tmp_path / "plant2.fmu")

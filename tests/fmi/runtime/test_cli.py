@@ -59,6 +59,7 @@ def test_info_says_what_is_not_supported(run: Run, tmp_path: Path) -> None:
     assert "not supported here: binary variables: blob" in done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_a_good_fmu(run: Run, tmp_path: Path, version: str) -> None:
     """Our checks, FMPy's, and the first instance find nothing."""

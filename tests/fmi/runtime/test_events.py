@@ -188,6 +188,7 @@ def test_discrete_inputs_are_set_by_events(fmu: Path) -> None:
     assert found["it.x"][-1] == pytest.approx(2.0 * 0.5, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "values", "time"),
     [("clock", {"stop_at": 3.0}, 0.75), ("ball", {"stop_at": 2.0}, bounces(2)[1]), ("late", {"stop_at": 0.355}, 0.36)],
@@ -212,6 +213,7 @@ def behind(file: Path, model: str, **values: Any) -> Any:
     return alone(file, model, step=H, stop=1.0, blocks=blocks, wires=wires, **values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reports", [False, True])
 @pytest.mark.parametrize("model", ["clock", "ball"])
 @pytest.mark.parametrize("how", [{"master": "iterative"}, {"adaptive": 1e-4, "order": 1}])

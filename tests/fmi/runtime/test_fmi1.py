@@ -229,6 +229,7 @@ def test_values_of_every_type(tmp_path: Path) -> None:
             slave.save_state()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "here", "message"),
     [

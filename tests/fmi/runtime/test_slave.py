@@ -79,6 +79,7 @@ def rk4(slave: Slave, x: np.ndarray, t: float, h: float) -> np.ndarray:
     return x + h / 6 * (a + 2 * b + 2 * c + d)
 
 
+@pytest.mark.slow
 def test_model_exchange_gives_the_same_as_its_co_simulation(fmu: Fmu) -> None:
     me, cs = fmu.instantiate("me"), fmu.instantiate("cs")
     me.setup(outputs=["y"])

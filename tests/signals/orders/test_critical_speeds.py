@@ -158,6 +158,7 @@ def test_one_mode_that_splits_for_no_plane_stays_one():
     assert len(critical_speeds(orders.runs[0], alone).found) == 1
 
 
+@pytest.mark.slow
 def test_rows_of_successive_turns_need_no_times():
     orders = usual()[1]
     found = critical_speeds(replace(orders.runs[0], time=None), orders.channels)

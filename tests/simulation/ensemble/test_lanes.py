@@ -116,6 +116,7 @@ def test_all_runs_diverge() -> None:
     assert found.status.tolist() == ["diverged", "diverged"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "status"), [("jeffcott", "unstable"), ("jeffcott_rub", "diverged")])
 def test_unstable_machines_are_said_to_be(name: str, status: str) -> None:
     """A linear one by its poles; a nonlinear one, which leaves the air gap, as a run by itself is judged."""
