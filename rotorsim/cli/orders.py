@@ -120,7 +120,9 @@ def command(
     if slow is not None:
         from rotorsim.signals.orders.slow_roll import without_slow_roll
 
-        given = replace(given, orders=without_slow_roll(given.orders, *slow))
+        less = without_slow_roll(given.orders, *slow)
+        show_problems(less.warnings[len(given.orders.warnings) :])
+        given = replace(given, orders=less)
     tracked = given.orders
     names = _channels(tracked, signals)
     from rotorsim.signals.orders.critical_speeds import CriticalSpeeds, critical_speeds
@@ -132,7 +134,9 @@ def command(
     else:
         found = [CriticalSpeeds(run.id, order, run.speed, ()) for run in tracked.runs for order in kinds]
         note("critical speeds are told without --filter: a filter makes resonances broader, and their noise smooth")
-    simulated = {} if beside is None else _simulated(beside, chosen.trust_blocks, given, kinds, turns)
+    if beside is not None and not plot:
+        note("--beside is drawn: --plot FILE")
+    simulated = {} if beside is None or not plot else _simulated(beside, chosen.trust_blocks, given, kinds, turns)
     from rotorsim.report.text import orders as text
 
     def said() -> str:

@@ -203,6 +203,16 @@ def test_what_a_run_has_not_passed_is_not_judged(run: Run, table: Path) -> None:
 
 
 @pytest.mark.slow
+def test_motion_is_no_slow_roll(run: Run, table: Path) -> None:
+    """FAULT: the vector of a resonance was subtracted without a word; where little moves nothing is said."""
+    found = run("orders", str(table), "--order", "1", "--slow-roll", "2500 rpm:3200 rpm")
+    what = "x 1X changes by more than its mean between 2500 and 3200 rpm\n\nhint: the shaft moves there"
+    assert what in found.stderr
+    quiet = run("orders", str(table), "--order", "1", "--slow-roll", "600 rpm:700 rpm")
+    assert "changes by more than its mean" not in quiet.stderr
+
+
+@pytest.mark.slow
 def test_the_coast_down_of_a_diagram_begins_settled(run: Run) -> None:
     """FAULT: it began from rest at full speed, rang, and had a damping ratio of 0.092."""
     falls = ["--set=acceleration=-300 rad/s^2", "--set=speed=9000 rpm", "--set=speed_limit=100 rpm"]
