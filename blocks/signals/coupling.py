@@ -43,10 +43,11 @@ _LAWS = {
 }
 _SIDES = {"stop": ({"side": 1.0}, {"side": -1.0})}
 # A polynomial or a long wave is linear at first, so is a stop that is always met, about a constant; a wave of which
-# less than a period shows is a polynomial.
+# less than a period shows is a polynomial; whatever depends on a signal that rests is an offset.
 _HELD = {
-    "polynomial": ("cross_talk", "integrator_leak"),
-    "periodic": ("cross_talk", "integrator_leak", "nonlinear_coupling", "static_nonlinearity"),
+    "linear": ("offset",),
+    "polynomial": ("cross_talk", "integrator_leak", "offset"),
+    "periodic": ("cross_talk", "integrator_leak", "nonlinear_coupling", "static_nonlinearity", "offset"),
     "stop": ("cross_talk", "integrator_leak", "offset"),
 }
 _OWN = {"linear": "gain_error", "polynomial": "static_nonlinearity", "stop": "one_sided_stop"}
