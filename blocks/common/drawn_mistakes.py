@@ -12,6 +12,7 @@ Mistake = tuple[str, tuple[int, ...], str, str]  # option or parameter, indices 
 
 MOST_BEAMS = 500  # that a drawing is meshed with
 FITS = 0.02  # of a diameter, by which a bore may be narrower than the shaft
+LOOSE = 0.2  # of a diameter, by which a bore may be wider: a hub that is not drawn, a diameter that is varied
 _PLACED = {"stations": "station", "disc_positions": "disc", "drawn_disc_positions": "disc", "sleeve_begins": "sleeve"}
 _NEEDED = (  # parameter, list of what needs it, what that is, hint
     ("disc_mass", "disc_positions", "disc", "a disc given by mass and inertias needs disc_mass"),
@@ -128,7 +129,7 @@ def _overlaps(option: Any, given: Given) -> Iterator[Mistake]:
                 what = f"disc {k + 1} and disc {j + 1} share {along * 1e3:.4g} mm of the axis"
                 yield "drawn_disc_positions", (k,), what, "their material would count twice"
         within = [size for a, b, size in carried if a < end and b > begin and size < outer]
-        if bore and bore > max(within, default=0.0) * (1 + FITS):
+        if bore and bore > max(within, default=0.0) * (1 + LOOSE):
             inside = f"{bore * 1e3:g} mm, and what is in it {max(within, default=0.0) * 1e3:g} mm"
             what = f"the bore of disc {k + 1} is {inside}"
             yield "drawn_disc_positions", (k,), what, "nothing would carry it: give the shaft's diameter, or a sleeve"

@@ -274,10 +274,11 @@ def test_discs_that_share_material_or_hang_in_the_air_are_mistakes() -> None:
     assert written(drawn(drawn_disc_positions=["200 mm", "240 mm"], drawn_disc_inner_diameter="50 mm", **sizes)) == [
         "rotor.drawn_disc_positions: disc 2 and disc 1 share 12.5 mm of the axis | their material would count twice"
     ]
-    assert written(drawn(drawn_disc_positions=["150 mm", "250 mm"], drawn_disc_inner_diameter="60 mm", **sizes)) == [
-        f"rotor.drawn_disc_positions: the bore of disc {k} is 60 mm, and what is in it 50 mm | "
+    assert written(drawn(drawn_disc_positions=["150 mm", "250 mm"], drawn_disc_inner_diameter="61 mm", **sizes)) == [
+        f"rotor.drawn_disc_positions: the bore of disc {k} is 61 mm, and what is in it 50 mm | "
         "nothing would carry it: give the shaft's diameter, or a sleeve"
         for k in (1, 2)
     ]
+    assert load(drawn(drawn_disc_positions=["150 mm", "250 mm"], drawn_disc_inner_diameter="59 mm", **sizes))
     rim = {"drawn_disc_inner_diameter": ["50 mm", "120 mm"], "drawn_disc_outer_diameter": ["120 mm", "200 mm"]}
     assert load(drawn(drawn_disc_positions=["200 mm", "200 mm"], drawn_disc_width="50 mm", **rim))
