@@ -69,8 +69,8 @@ def _damped(model: Model, given: Conditions) -> Part:
         words = f"first {first.whirl} mode, {first.frequency:.4g} Hz{at}"
         made.append(Criterion(LEVEL_1, "log decrement", words, first.decrement, LEAST_DECREMENT, at_most=False))
     else:
-        said = "no mode is brought to resonance"
-        made.append(Criterion(LEVEL_1, "log decrement", f"forward modes{at}", said=said, stated=MET))
+        said, stated = "no mode is brought to resonance", MET if stable else ""
+        made.append(Criterion(LEVEL_1, "log decrement", f"forward modes{at}", said=said, stated=stated))
     weak = [mode for mode in found if mode.decrement < LEAST_DECREMENT and mode is not (first if low else None)]
     for mode in weak:
         words = f"{mode.whirl} mode, {mode.frequency:.4g} Hz{at}"

@@ -20,6 +20,7 @@ from rotorsim.linear.loop import linear_system
 from rotorsim.model.compiled import Model
 from rotorsim.recordings.recording import AXES, Channel, Recording, Run
 from rotorsim.settled.periodic import periodic
+from rotorsim.signals.orders.resonance import IN_RANGE
 from rotorsim.signals.shaft_angle import shaft_angle
 from rotorsim.signals.turning import is_run_up
 
@@ -28,7 +29,6 @@ DISPLACEMENT_TITLE, CLAUSE, WHAT = "Displacement against the clearance", f"{ISO_
 NO_CLEARANCE = "no clearance is given: --clearance"
 NEAR_HIGHEST = 0.02  # of the largest operating speed, within which it counts as recorded
 SPEEDS = 9  # of the operating range, at which the settled motion is computed
-IN_RANGE = 0.005  # of a speed: a machine that runs at its largest operating speed is within the range
 
 
 def displacement_zone(share: float) -> str:

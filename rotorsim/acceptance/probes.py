@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.measure.checks import AT_FAULT, check_signals
+from rotorsim.measure.checks import AT_FAULT, UNUSABLE, check_signals
 from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording
 from rotorsim.units import parse_unit
 
 DISPLACEMENT = "displacement"
-UNUSABLE = ("tacho", "impossible_size", "empty_run")  # codes of `check_signals`
 
 
 def faults_of(recording: Recording) -> dict[tuple[str, str], str]:

@@ -15,10 +15,9 @@ from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.orders.critical_speeds import CriticalSpeed, CriticalSpeeds, critical_speeds
 from rotorsim.signals.orders.extraction import tracked_recording
-from rotorsim.signals.orders.resonance import RESPONSIVE, unmeasured
+from rotorsim.signals.orders.resonance import IN_RANGE, RESPONSIVE, unmeasured
 from rotorsim.signals.turning import is_run_up
 
-IN_RANGE = 0.005  # of a speed: as of runs at one speed
 CLAUSE, WHAT = f"{API_684}, SP6.8.2.10", "separation margin"
 
 
@@ -44,15 +43,15 @@ def measured_critical_speeds(recording: Recording | OrderRecording, given: Condi
 
 def _passed(title: str, recording: Recording | OrderRecording, given: Conditions) -> Part:
     notes: list[str] = []
-    blind: list[str] = []
+    faults: Mapping[tuple[str, str], str] = {}
     if isinstance(recording, Recording):
         faults = faults_of(recording)
-        blind = [f"{column}: {what}" for (_, column), what in faults.items()]
         recording = tracked_recording(recording, (1,))[0]
         notes += [f"{one.subject}: {one.what}" for one in recording.warnings]
     made: list[Criterion] = []
     results = []
     for run in recording.runs:
+        blind = [f"{column}: {what}" for (id, column), what in faults.items() if id == run.id]
         found = critical_speeds(run, recording.channels, 1)
         results.append(PassedRunUp(run, recording.channels, found))
         if not found.explained:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from rotorsim.diagram.diagram import Diagram
     from rotorsim.recordings.orders import OrderRecording, OrderRun
-    from rotorsim.recordings.recording import Recording, Run
+    from rotorsim.recordings.recording import Recording
     from rotorsim.signals.orders.critical_speeds import CriticalSpeeds
     from rotorsim.signals.orders.extraction import Positions
     from rotorsim.signals.orders.filtered import Passband
@@ -115,7 +115,7 @@ def command(
     refuse_if(bandwidth and turns > 1, "--turns: the filter has its own width, and rows of one turn")
     width = None if bandwidth is None else _passband(bandwidth)
     steady_lines = [hertz(line, "--line") for line in lines]
-    read = _read(chosen)
+    read = _checked(_read(chosen), runs)
     given = _given(read, runs, wanted, turns) if width is None else _filtered(read, runs, wanted, width, steady_lines)
     if slow is not None:
         from rotorsim.signals.orders.slow_roll import without_slow_roll
@@ -225,16 +225,11 @@ def _given(read: Recording | OrderRecording, runs: Sequence[str], orders: Sequen
         refuse_if(missing, f"no channel of order {', '.join(map(str, missing))}", read.name, hint=f"there: {there}")
         some = tuple(run for run in read.runs if not ids or run.id in ids)
         return Given(replace(read, runs=some), None, ())
-    from rotorsim.measure.checks import AT_FAULT, check_signals
     from rotorsim.signals.orders.extraction import tracked_recording
     from rotorsim.signals.orders.steady import steady_recording
     from rotorsim.signals.turning import is_run_up
 
     chosen = [run for run in read.runs if run.id in ids] if ids else None
-    wrong = check_signals(replace(read, runs=tuple(chosen or read.runs)))
-    refuse_all([one for one in wrong if one.code == "tacho"], exit_code=1)
-    show_problems([one for one in wrong if one.code in AT_FAULT])
-    read = _moving(read, chosen or read.runs, {one.subject for one in wrong if one.code == "constant_signal"})
     rising = [run for run in chosen or read.runs if is_run_up(read, run)]
     if not rising and len(chosen or read.runs) > 1:
         refuse_if(turns > 1, "--turns: runs at constant speeds are a row each", read.name)
@@ -270,10 +265,18 @@ def _single_turns(given: Given, kinds: Sequence[int], turns: int, slow: tuple[fl
     return without_slow_roll(single, *slow)
 
 
-def _moving(read: Recording, runs: Sequence[Run], still: Collection[str]) -> Recording:
-    """Return a recording without probes that show nothing; still: run and column of those, as problems name them."""
-    from rotorsim.recordings.recording import ANGLE, TACHO
+def _checked(read: Recording | OrderRecording, wanted: Sequence[str]) -> Recording | OrderRecording:
+    """Return a recording without probes that show nothing, of the runs that are wanted; refuse what is unusable."""
+    from rotorsim.measure.checks import AT_FAULT, UNUSABLE, check_signals
+    from rotorsim.recordings.recording import ANGLE, TACHO, Recording
 
+    if not isinstance(read, Recording):
+        return read
+    runs = [run for run in read.runs if run.id in wanted] or list(read.runs)
+    wrong = check_signals(replace(read, runs=tuple(runs)))
+    refuse_all([one for one in wrong if one.code in UNUSABLE and one.severity == "error"], exit_code=1)
+    show_problems([one for one in wrong if one.code in AT_FAULT])
+    still = {one.subject for one in wrong if one.code == "constant_signal"}
     probes = [column for column, one in read.channels.items() if one.signal not in (ANGLE, TACHO)]
     dead = {column for column in probes if all(f"{run.id}: column {column}" in still for run in runs)}
     refuse_if(len(dead) == len(probes), "no channel shows a motion", read.name, exit_code=1)

@@ -16,6 +16,7 @@ from rotorsim.signals.shaft_angle import pulse_edges, run_up_in_words, shaft_ang
 from rotorsim.signals.stretches import clipped_stretches, flat_stretches
 from rotorsim.units import conversion, parse_unit
 
+UNUSABLE = ("tacho", "impossible_size", "empty_run")  # errors by which no speed or no size is to be believed
 AT_FAULT = ("constant_signal", "clipped_signal", "flat_stretch", "wrong_unit")  # a probe that does not show the motion
 _LARGE, _SMALL = 5e-3, 1e-9  # m, rms of a rotor's displacement
 _CURRENT = 1e3  # A

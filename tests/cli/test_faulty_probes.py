@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorsim import Recording, RotorsimError, accept, load_recording
+from rotorsim import Recording, RotorsimError, accept, load, load_recording
 from rotorsim.acceptance.acceptance import Acceptance
 from tests.cli.conftest import Run
 
@@ -68,7 +68,8 @@ def test_dead_probes_pass_no_critical_speed(tmp_path) -> None:
     found = verdicts(accept(None, recorded(tmp_path, 0 * steady(), theta=theta), operating=(400.0, 410.0)))
     said = "no critical speed; x: constant signal: all samples are 0 um; y: constant signal: all samples are 0 um"
     assert found["1X of the vibration, peak to peak"][0] == "unsure"
-    assert ("unsure", said) in [(one, text) for one, text in found.values()] or found["separation margin"][0] != "met"
+    passed = accept(None, load_recording(tmp_path), operating=(400.0, 410.0)).criteria
+    assert ("unsure", said) in [(one.verdict, one.said) for one in passed]
 
 
 def test_volts_are_no_displacement(tmp_path) -> None:
@@ -78,8 +79,8 @@ def test_volts_are_no_displacement(tmp_path) -> None:
 
 
 @pytest.mark.slow
-def test_orders_leave_a_dead_probe_out_and_refuse_a_lost_pulse(run: Run, tmp_path: Path) -> None:
-    """FAULT: with one pulse of 1400 lost a damping of 0.05 was 0.04; a forward mode was planar beside a dead probe."""
+def test_orders_leave_a_dead_probe_out(run: Run, tmp_path: Path) -> None:
+    """FAULT: a forward mode was planar beside a dead probe."""
     theta = np.cumsum(SPEEDS) / 4000.0
     mode = 1 / (350.0**2 - SPEEDS**2 + 2j * 0.05 * 350.0 * SPEEDS) * SPEEDS**2 * np.exp(1j * theta)
     both = 5 * np.column_stack([mode.real, mode.imag]) + 0.01 * np.random.default_rng(0).standard_normal((len(TIME), 2))
@@ -87,14 +88,29 @@ def test_orders_leave_a_dead_probe_out_and_refuse_a_lost_pulse(run: Run, tmp_pat
     found = run("orders", "dead", "--order", "1")
     assert "a: column y: constant signal: all samples are 0 um" in found.stderr
     assert "rotor.displacement[2]" not in found.stdout
-    recorded(tmp_path / "lost", both, theta=theta)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("further", [(), ("--filter", "10 %")])
+def test_orders_refuse_a_lost_pulse_with_and_without_a_filter(run: Run, tmp_path: Path, further) -> None:
+    theta = np.cumsum(SPEEDS) / 4000.0
+    recorded(tmp_path / "lost", steady(), theta=theta)
     marks = 2 * np.pi * np.arange(1, int(theta[-1] / 2 / np.pi) + 1)
-    pulses = np.delete(np.interp(marks, theta, TIME), 60).tolist()
     document = json.loads((tmp_path / "lost" / "recording.json").read_text())
     document["channels"].pop("angle")
-    document["runs"][0]["tacho"] = pulses
+    document["runs"][0]["tacho"] = np.delete(np.interp(marks, theta, TIME), 60).tolist()
     (tmp_path / "lost" / "recording.json").write_text(json.dumps(document))
-    found = run("orders", "lost", "--order", "1")
+    found = run("orders", "lost", "--order", "1", *further)
     assert found.exit_code == 1
     assert "error: a: tacho: 1 missing, the first after " in found.stderr
     assert found.stdout == ""
+
+
+@pytest.mark.slow
+def test_a_gain_in_the_wrong_unit_is_not_accepted() -> None:
+    """FAULT: KP in A/mm put the first mode above 2 kHz, where its decrement of 0.02 was not judged."""
+    found = accept(load("jeffcott", set={"controller.KP": 1.22e7}), operating=(2000 * RPM, 3000 * RPM))
+    [decrement] = [one for one in found.criteria if one.what == "log decrement"]
+    s = max(np.roots([2.0, 76.0 + 42.1 * 3.0, 7.6e5 - 105210.0 + 42.1 * 1.22e7, 42.1 * 2000.0]), key=np.imag)
+    assert decrement.value == pytest.approx(-2 * np.pi * s.real / s.imag, rel=1e-6)
+    assert (decrement.verdict, found.verdict) == ("not met", "not met")

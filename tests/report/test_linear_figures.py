@@ -88,6 +88,19 @@ def test_a_frequency_response_has_magnitude_phase_and_unit(tmp_path):
     assert magnitude * np.exp(1j * phase) == pytest.approx(found.value[:, 0, 0], rel=1e-9)
 
 
+@pytest.mark.slow
+def test_of_many_entries_the_largest_are_drawn(tmp_path):
+    """FAULT: of 36 the legend took two thirds of the figure."""
+    hz = np.geomspace(5, 800, 100)
+    found = frequency_response(load("two_amb_rotor"), "amb_a.force", "rotor.displacement", frequencies=hz)
+    made = drawn(frequency_response_figure(found, "beam"), tmp_path / "f.png")
+    assert made.get_suptitle() == "beam (the 8 largest of 36)"
+    peaks = np.sort(np.abs(found.value).max(axis=0).ravel())[::-1]
+    shown = sorted((np.max(line.get_ydata()) for line in made.axes[0].lines), reverse=True)
+    assert shown == pytest.approx(peaks[:8])
+    assert {tick % 90 for tick in made.axes[1].get_yticks()} == {0.0}
+
+
 def test_phases_begin_within_half_a_turn():
     hz = np.array([1.0, 2.0, 3.0])
     value = np.exp(1j * np.radians([170.0, 250.0, 350.0]))[:, None, None]

@@ -21,7 +21,7 @@ from scipy.optimize import brentq, minimize_scalar
 
 RESPONSIVE = 2.5  # AF from which a separation margin is needed
 MOST_BELOW, MOST_ABOVE = 16.0, 26.0  # %: largest margins that are required
-COVERED = 0.005  # of a speed, that a run may end before one and has passed it all the same
+IN_RANGE = 0.005  # of a speed: a machine that runs at its largest operating speed is within the range
 HALF_POWER = 1 / sqrt(2)
 REACH, GRID = 6.0, 60  # half widths to each side of a peak, and places there, between which it is looked for
 PEAK_SEARCH = {"xatol": 1e-9}
@@ -139,7 +139,7 @@ def unmeasured(low: float, high: float, lowest: float, highest: float) -> list[t
     """
     first, last = lowest * (1 - MOST_BELOW / 100), highest * (1 + MOST_ABOVE / 100)
     parts = (first, min(low, last)), (max(high, first), last)
-    return [(a, b) for a, b in parts if b - a > COVERED * b]
+    return [(a, b) for a, b in parts if b - a > IN_RANGE * b]
 
 
 def separation_margin(critical: float, amplification: float, lowest: float, highest: float) -> Margin:

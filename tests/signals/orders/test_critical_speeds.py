@@ -10,7 +10,7 @@ import pytest
 from rotorsim.errors import RotorsimError
 from rotorsim.signals.orders.critical_speeds import critical_speeds
 from rotorsim.signals.orders.extraction import tracked_recording
-from rotorsim.signals.orders.resonance import peak_in, peak_of
+from rotorsim.signals.orders.resonance import peak_in, peak_of, settled_response
 from tests.signals.orders.machine import Mode, gyroscopic_run_up, run_up
 
 NOISE = 2e-8  # m
@@ -109,6 +109,19 @@ def test_a_second_order_meets_the_mode_at_half_the_speed():
     found, _ = _found(run_up([Mode(600.0, 0.03, 3.0, -3j, order=2)], 60.0, 500.0, 4.0, noise=NOISE), order=2)
     [one] = found.found
     assert one.peak.speed == pytest.approx(peak_of(600.0, 0.03, 2).speed, rel=5e-4)
+
+
+@pytest.mark.slow
+def test_intervals_of_modes_that_do_not_explain_the_motion_hold_its_largest_amplitude():
+    """Two opposed modes in one plane are taken for one. FAULT: +-15 rpm about a speed that is 50 rpm off the peak."""
+    pair = Mode(300.0, 0.05, 2e-5, -2e-5j), Mode(330.0, 0.05, -2e-5, 2e-5j)
+    tracked = tracked_recording(run_up(pair, 60.0, 600.0, 20.0, noise=2e-8), [1])[0]
+    found = critical_speeds(tracked.runs[0], tracked.channels, 1)
+    assert not found.explained
+    speed = np.linspace(250.0, 380.0, 5001)
+    whole = sum(mode.x * settled_response(speed, mode.frequency, mode.damping, 1, 0.0) for mode in pair)
+    low, high = found.found[0].interval90("speed")
+    assert low < speed[np.abs(whole).argmax()] < high
 
 
 @pytest.mark.slow
