@@ -73,12 +73,12 @@ def _inside(name: str, container: str) -> list[Room]:
 
 
 def _block_folders() -> list[Room]:
-    folders = sorted(file.parent for file in (ROOT / BLOCKS).glob("*/__init__.py"))
+    folders = sorted(file.parent for file in (ROOT / BLOCKS).glob("*/**/__init__.py"))
     common = f"as `{BLOCKS}`, and `{BLOCKS}.common`"
     top = Room(BLOCKS, _docstring(ROOT / BLOCKS / "__init__.py"), _allowed(BLOCKS, "rotorsim"))
     return [top] + [
         Room(
-            f"{BLOCKS}.{folder.name}",
+            ".".join((BLOCKS, *folder.relative_to(ROOT / BLOCKS).parts)),
             _docstring(folder / "__init__.py"),
             f"as `{BLOCKS}`" if folder.name == "common" else common,
         )

@@ -285,7 +285,8 @@ class Block:
         if "type_name" not in cls.__dict__:
             cls.type_name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__).lower()
         if "category" not in cls.__dict__:
-            cls.category = _CATEGORIES.get(cls.__module__.rpartition(".")[0], cls.category)
+            folder = ".".join(cls.__module__.split(".")[:3])
+            cls.category = _CATEGORIES.get(folder, cls.category)
         declared = [
             item if item.name else replace(item, name=name)
             for name, value in vars(cls).items()

@@ -1,1 +1,1 @@
-"""Physics that a diagram may lack: the candidates of a diagnosis."""
+"""Physics that a diagram may lack: the candidates of a diagnosis, by where they enter."""

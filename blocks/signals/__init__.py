@@ -1,1 +1,1 @@
-"""Elementary blocks: sources, arithmetic, dynamics, routing and recording of signals."""
+"""Elementary blocks of signals, which know nothing of rotors."""

@@ -18,7 +18,7 @@ from rotorsim.units import parse_unit
 from tests.blocks.evaluation import prepare_class
 
 ROOT = Path(rotorsim.block.__file__).parents[1]
-FILES = sorted(file for file in (ROOT / "blocks").glob("*/[a-z]*.py") if file.parent.name != "common")
+FILES = sorted(file for file in (ROOT / "blocks").glob("*/**/[a-z]*.py") if file.parent.name != "common")
 NAMES = [file.stem for file in FILES]
 GUIDE = ROOT / "docs" / "writing-a-block.md"
 

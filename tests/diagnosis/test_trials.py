@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rotorsim.blocks.signals.disturbance import Disturbance
+from rotorsim.blocks.signals.sources.disturbance import Disturbance
 
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import Insertion, Spot

@@ -67,7 +67,7 @@ def folder(empty_folder: Path) -> Path:
 def test_a_type_is_the_name_of_its_file() -> None:
     found = find("gain")
     assert found is not None
-    assert found.__module__ == "rotorsim.blocks.signals.gain"
+    assert found.__module__ == "rotorsim.blocks.signals.operations.gain"
     assert find("no_such_type") is None
     for name in ("__init__", "os.path", "Gain", "../gain", "", "_beam"):
         assert find(name) is None

@@ -112,11 +112,14 @@ def is_built_in(block_type: type[Block]) -> bool:
 
 @cache
 def _built_in() -> dict[str, str]:
-    """Return type name -> module of the block files in the folders of all categories."""
-    files = (
-        file for root in importlib.import_module(_PACKAGE).__path__ for file in sorted(Path(root).glob("*/[a-z]*.py"))
-    )
-    return {file.stem: f"{_PACKAGE}.{file.parent.name}.{file.stem}" for file in files if file.parent.name != _SHARED}
+    """Return type name -> module of the block files in the folders of all categories, and in theirs."""
+    found = {}
+    for root in map(Path, importlib.import_module(_PACKAGE).__path__):
+        for file in sorted(root.glob("*/**/[a-z]*.py")):
+            inside = file.relative_to(root).with_suffix("").parts
+            if inside[0] != _SHARED:
+                found[file.stem] = ".".join((_PACKAGE, *inside))
+    return found
 
 
 def _classes(loaded: Any) -> list[type[Block]]:

@@ -1,0 +1,1 @@
+"""Faults between the controller and the magnetic force."""

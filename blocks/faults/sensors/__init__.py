@@ -1,0 +1,1 @@
+"""Faults between the motion and what is measured of it."""

@@ -1,0 +1,1 @@
+"""Nonlinear characteristics, with and without memory, and gains that vary."""

@@ -1,0 +1,1 @@
+"""Linear dynamics of signals, continuous and sampled."""

@@ -1,0 +1,1 @@
+"""Buses, selection and recording of signals."""

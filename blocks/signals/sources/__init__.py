@@ -1,0 +1,1 @@
+"""Sources of signals: constants, steps, ramps, lines, noise."""
