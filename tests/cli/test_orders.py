@@ -144,7 +144,7 @@ def test_a_table_is_written_and_read_back(run: Run, table: Path) -> None:
         (("--order", "7"), 2, "error: machine: no channel of order 7\n\nhint: there: 1X, 2X\n"),
         (("--run", "dwon"), 2, "error: --run dwon: no such run in machine\n"),
         (("--signal", "rotor.x"), 2, "error: --signal rotor.x: not measured in machine\n"),
-        (("--turns", "4"), 2, "error: machine: --turns: the rows of this table are as they were exported\n"),
+        (("--turns", "4"), 2, "error: machine: turns: the rows of this table are as they were exported\n"),
         (("--operating", "5 m"), 2, "error: --operating 5 m: unit 'm' does not fit 'rad/s'\n"),
         (
             ("--operating", "9 rpm:5 rpm"),
@@ -304,7 +304,7 @@ def test_names_that_a_csv_cannot_hold_are_written_plainly_and_read_back(run: Run
         (("--filter", "x"), "--filter x: not a width\n\nhint: for example --filter '10 %' or '2 Hz'\n"),
         (("--line", "50 Hz"), "--line needs --filter\n\nhint: for example --filter '10 %'\n"),
         (("--filter", "10 %", "--turns", "2"), "--turns: the filter has its own width, and rows of one turn\n"),
-        (("--filter", "10 %"), "machine: --filter needs samples: these are order vectors\n"),
+        (("--filter", "10 %"), "machine: a filter needs samples: these are order vectors\n"),
     ],
 )
 def test_filters_that_are_refused(run: Run, table: Path, arguments: tuple[str, ...], said: str) -> None:

@@ -10,19 +10,24 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.measure.order_vectors import OrderVectors
 from rotorsim.recordings.orders import OrderChannel, OrderRun
+from rotorsim.recordings.recording import Channel
 from rotorsim.report.amplitudes import from_peak, of_amplitude
 from rotorsim.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, figure, legend_below, styled
 from rotorsim.report.text.orders import shown_unit
 from rotorsim.report.text.table import rpm
 from rotorsim.signals.orders.critical_speeds import CriticalSpeeds
 from rotorsim.signals.orders.extraction import Positions
+from rotorsim.signals.turning import turning
 
 CHANNEL_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, RED, GREY)
 MOST_CHANNELS = len(CHANNEL_COLOURS)
 SPEED_MARKS = 8  # speeds that are written along a polar plot, at most
 MOST_WINDOWS = 40  # curves of a cascade
 CASCADE_ORDERS = 5.0  # of the highest speed
+CASCADE_WINDOWS = 15.0  # of a run, one after the other: a window is as long
 FLOOR = 1e-3  # of the largest line in a cascade: what is smaller lies on the base line
 
 
@@ -41,6 +46,55 @@ class Tracked:
     def order(self) -> np.ndarray:
         """The rows in the order of their speeds, (n,)."""
         return np.argsort(self.run.speed, kind="stable")
+
+
+def orders_figure(kind: str, vectors: OrderVectors, drawn: Tracked) -> Figure:
+    """Return a figure of a run: "bode" or "polar" of its vectors, "cascade" or "centreline" of its samples.
+
+    Raises RotorsimError where channels are of several units, or what is measured does not make that figure.
+    """
+    title = f"{vectors.orders.name}, {drawn.run.id}"
+    if kind in ("bode", "polar"):
+        units = sorted({one.unit for one in drawn.channels.values()})
+        if len(units) > 1:
+            hint = "--signal chooses what is drawn"
+            raise RotorsimError(Problem(f"--figure {kind} has one scale, not {' and '.join(units)}", title, hint=hint))
+        what, draw = ("Bode plot", bode_plot) if kind == "bode" else ("Polar plot", polar_plot)
+        return draw(drawn, f"{what} of {drawn.found.order}X, {title}")
+    if kind == "cascade" and drawn.run.noise is not None:
+        hint = "bode, polar and centreline are drawn of runs at constant speeds"
+        raise RotorsimError(Problem("--figure cascade needs a run-up or coast-down", title, hint=hint))
+    if vectors.sampled is None:
+        hint = "bode and polar are drawn of tables"
+        raise RotorsimError(Problem(f"--figure {kind} needs samples: these are order vectors", title, hint=hint))
+    pairs = _pairs(drawn.channels)
+    if not pairs:
+        what = f"--figure {kind} needs channels of axis x and of axis y of one place"
+        raise RotorsimError(Problem(what, title))
+    unit, factor = shown_unit(next(one for one in drawn.channels.values() if one.column == pairs[0][0].column))
+    if kind == "centreline":
+        blind = [one.column for pair in pairs for one in pair if vectors.sampled.channels[one.column].coupling == "ac"]
+        if blind:
+            what = f'--figure centreline needs means, and {", ".join(blind)} have none: "coupling": "ac"'
+            raise RotorsimError(Problem(what, title))
+        of_run = [at for at in vectors.positions if at.run == drawn.run.id]
+        columns = [(x.column, y.column) for x, y in pairs]
+        return centreline_plot(of_run, columns, unit, factor, f"Shaft centreline, {title}")
+    own = next(one for one in vectors.sampled.runs if one.id == drawn.run.id)
+    x, y = (own.values[one.column] for one in pairs[0])
+    window = float(own.time[-1] - own.time[0]) / CASCADE_WINDOWS
+    speed = np.abs(turning(vectors.sampled, own).speed)
+    named = f"Cascade of full spectra, {pairs[0][0].signal}, {title}"
+    return cascade_plot(own.time, x + 1j * y, speed, unit, factor, named, window)
+
+
+def _pairs(channels: Mapping[str, OrderChannel]) -> list[tuple[Channel, Channel]]:
+    """Return the channels of axis x and of axis y of each place that has both."""
+    places: dict[tuple[str, int | None, float | None], dict[str, Channel]] = {}
+    for one in channels.values():
+        if one.axis is not None:
+            places.setdefault((one.signal, one.node, one.position), {})[one.axis] = one
+    return [(axes["x"], axes["y"]) for axes in places.values() if len(axes) == 2]
 
 
 @styled()
