@@ -13,6 +13,9 @@ Mistake = tuple[str, tuple[int, ...], str, str]  # option or parameter, indices 
 MOST_BEAMS = 500  # that a drawing is meshed with
 FITS = 0.02  # of a diameter, by which a bore may be narrower than the shaft
 LOOSE = 0.2  # of a diameter, by which a bore may be wider: a hub that is not drawn, a diameter that is varied
+SOFTEST = 1e8  # N/m^2, of what shafts are made of: a tenth of polymers; GPa left out make steel 210
+LIGHTEST, HEAVIEST = 100.0, 3e4  # kg/m^3, of solids: less than balsa, more than osmium; steel in g/cm^3 is 7.85
+MASSLESS = 0.1  # kg/m^3, and less: a shaft whose mass is left out on purpose
 _PLACED = {"stations": "station", "disc_positions": "disc", "drawn_disc_positions": "disc", "sleeve_begins": "sleeve"}
 _NEEDED = (  # parameter, list of what needs it, what that is, hint
     ("disc_mass", "disc_positions", "disc", "a disc given by mass and inertias needs disc_mass"),
@@ -33,7 +36,7 @@ def mistakes(option: Any, given: Given) -> list[Mistake]:
         found += _needed(name, of, what, len(getattr(option, of)), given, hint)
     for prefix, what, of in _WALLS:
         found += _walls(prefix, what, len(getattr(option, of)), given)
-    return [*found, *_bores(option, given), *_overlaps(option, given)]
+    return [*found, *_materials(given), *_bores(option, given), *_overlaps(option, given)]
 
 
 def _lists(option: Any) -> Iterator[Mistake]:
@@ -102,6 +105,18 @@ def _walls(prefix: str, what: str, count: int, given: Given) -> Iterator[Mistake
         if bore >= wide > 0:
             text = f"{bore * 1e3:g} mm of {what} {k + 1} must be smaller than its outer diameter, {wide * 1e3:g} mm"
             yield name, (k,) if given[name].ndim else (), text, "a solid one has 0"
+
+
+def _materials(given: Given) -> Iterator[Mistake]:
+    """Yield a modulus or a density of the shaft, a sleeve or a disc that no solid has: a unit that was left out."""
+    for name in ("young_modulus", "density", "sleeve_density", "drawn_disc_density"):
+        values = given.get(name)
+        for k, one in enumerate(() if values is None else full(values, 1)):
+            at = (k,) if values is not None and values.ndim else ()
+            if name == "young_modulus" and 0 < one < SOFTEST:
+                yield name, at, f"{one:g} N/m^2 is softer than any shaft", 'give its unit: "210 GPa"'
+            elif name != "young_modulus" and (MASSLESS < one < LIGHTEST or one > HEAVIEST):
+                yield name, at, f"{one:g} kg/m^3 is the density of no solid", 'give its unit: "7.85 g/cm^3"'
 
 
 def _overlaps(option: Any, given: Given) -> Iterator[Mistake]:

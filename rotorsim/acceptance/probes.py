@@ -2,30 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.measure.checks import AT_FAULT, UNUSABLE, check_signals
-from rotorsim.recordings.orders import OrderRecording
-from rotorsim.recordings.recording import Recording
+from rotorsim.measure.order_vectors import check_vectors
+from rotorsim.recordings.orders import OrderChannel, OrderRecording
+from rotorsim.recordings.recording import Channel, Recording
 from rotorsim.units import parse_unit
 
 DISPLACEMENT = "displacement"
 
 
-def faults_of(recording: Recording) -> dict[tuple[str, str], str]:
+def faults_of(recording: Recording | OrderRecording) -> dict[tuple[str, str], str]:
     """Return run and column of each displacement that cannot be as it was recorded, and why, in words.
 
     Raises RotorsimError where speeds or sizes are not to be believed: lost pulses, for example.
     """
-    problems = check_signals(recording)
+    problems = check_signals(recording) if isinstance(recording, Recording) else check_vectors(recording)
     refused = [one for one in problems if one.code in UNUSABLE and one.severity == "error"]
     if refused:
         raise RotorsimError(*refused, exit_code=1)
     said = {one.subject: one.what for one in problems if one.code in AT_FAULT}
-    columns = [key for key, one in recording.channels.items() if one.signal.endswith(DISPLACEMENT)]
+    channels: Mapping[str, Channel] = recording.channels
+    columns = [key for key, one in channels.items() if one.signal.endswith(DISPLACEMENT) and _is_judged(one)]
     every = {(run.id, column): f"{run.id}: column {column}" for run in recording.runs for column in columns}
     return {key: said[subject] for key, subject in every.items() if subject in said}
+
+
+def _is_judged(channel: Channel) -> bool:
+    """Return whether samples, or 1X: a table may have a 2X that is too small to show."""
+    return not isinstance(channel, OrderChannel) or channel.order == 1
 
 
 def refuse_units(recordings: Iterable[Recording | OrderRecording]) -> None:

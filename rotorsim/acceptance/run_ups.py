@@ -43,9 +43,8 @@ def measured_critical_speeds(recording: Recording | OrderRecording, given: Condi
 
 def _passed(title: str, recording: Recording | OrderRecording, given: Conditions) -> Part:
     notes: list[str] = []
-    faults: Mapping[tuple[str, str], str] = {}
+    faults = faults_of(recording)
     if isinstance(recording, Recording):
-        faults = faults_of(recording)
         recording = tracked_recording(recording, (1,))[0]
         notes += [f"{one.subject}: {one.what}" for one in recording.warnings]
     made: list[Criterion] = []

@@ -149,6 +149,7 @@ def _injection(entry: dict[str, Any], name: str, against: Diagram | None) -> Fou
 def _orders(entry: dict[str, Any], recording: OrderRecording, against: Diagram | None) -> Found:
     """Return the same of a recording of orders over the speed. Raises RotorsimError for what a diagram has not."""
     from rotorsim.identification.waveform.order_tracking import tracked_orders
+    from rotorsim.measure.order_vectors import check_vectors
     from rotorsim.report.text.table import counted
 
     if against is not None:
@@ -156,4 +157,4 @@ def _orders(entry: dict[str, Any], recording: OrderRecording, against: Diagram |
     entry |= {"kind": "orders", "channels": len(recording.channels), "runs": len(recording.runs)}
     entry["rows"] = sum(len(run.speed) for run in recording.runs)
     line = ", ".join(counted(entry[f"{one}s"], one) for one in ("channel", "run", "row"))
-    return entry, recording.warnings, 0, f"orders of {line}"
+    return entry, (*recording.warnings, *check_vectors(recording)), 0, f"orders of {line}"

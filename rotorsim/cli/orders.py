@@ -178,8 +178,8 @@ def command(
 def _read(chosen: Chosen, runs: Sequence[str]) -> Recording | OrderRecording:
     """Return a recording, or the run of a diagram as one, of which the runs that are wanted are usable."""
     from rotorsim.measure.order_vectors import run_as_recorded, usable
-    from rotorsim.recordings.recording import Recording
 
+    read: Recording | OrderRecording
     if is_recording(chosen.name):
         from rotorsim.recordings.orders import load_any
 
@@ -190,9 +190,8 @@ def _read(chosen: Chosen, runs: Sequence[str]) -> Recording | OrderRecording:
         read, notes = run_as_recorded(chosen.open())
         for text in notes:
             note(text)
-    if isinstance(read, Recording):
-        read, problems = usable(read, runs)
-        show_problems(problems)
+    read, problems = usable(read, runs)
+    show_problems(problems)
     return read
 
 

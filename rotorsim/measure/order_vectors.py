@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.measure.checks import AT_FAULT, UNUSABLE, check_signals
 from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording
@@ -89,23 +89,43 @@ def _settled_at_first(diagram: Diagram) -> tuple[np.ndarray | None, list[str]]:
         return None, [f"the run begins from rest: {error.problems[0].what}"]
 
 
-def usable(recording: Recording, runs: Sequence[str] = ()) -> tuple[Recording, list[Problem]]:
+def check_vectors(recording: OrderRecording) -> list[Problem]:
+    """Return what is suspicious about order vectors: "constant_signal", of a probe that shows nothing."""
+    found = []
+    for run in recording.runs:
+        for column in recording.channels:
+            known = run.vectors[column][np.isfinite(run.vectors[column])]
+            if len(known) > 1 and (known == known[0]).all():
+                what = f"constant signal: all {len(known)} vectors are the same"
+                subject = f"{run.id}: column {column}"
+                found.append(Problem(what, subject, Place(run.file), severity="warning", code="constant_signal"))
+    return found
+
+
+def usable(
+    recording: Recording | OrderRecording, runs: Sequence[str] = ()
+) -> tuple[Recording | OrderRecording, list[Problem]]:
     """Return a recording without probes that show nothing, and what is wrong with others; runs: those that count.
 
     Raises RotorsimError, with exit code 1, where speeds or sizes are not to be believed, or nothing moves.
     """
-    counted = [run for run in recording.runs if run.id in runs] or list(recording.runs)
-    wrong = check_signals(replace(recording, runs=tuple(counted)))
+    counted = [run.id for run in recording.runs if run.id in runs] or [run.id for run in recording.runs]
+    if isinstance(recording, Recording):
+        wrong = check_signals(replace(recording, runs=tuple(run for run in recording.runs if run.id in counted)))
+    else:
+        wrong = check_vectors(replace(recording, runs=tuple(run for run in recording.runs if run.id in counted)))
     refused = [one for one in wrong if one.code in UNUSABLE and one.severity == "error"]
     if refused:
         raise RotorsimError(*refused, exit_code=1)
     still = {one.subject for one in wrong if one.code == "constant_signal"}
     probes = [column for column, one in recording.channels.items() if one.signal not in (ANGLE, TACHO)]
-    dead = {column for column in probes if all(f"{run.id}: column {column}" in still for run in counted)}
+    dead = {column for column in probes if all(f"{id}: column {column}" in still for id in counted)}
     if len(dead) == len(probes):
         raise RotorsimError(Problem("no channel shows a motion", recording.name), exit_code=1)
-    channels = {key: one for key, one in recording.channels.items() if key not in dead}
-    return replace(recording, channels=channels), [one for one in wrong if one.code in AT_FAULT]
+    said = [one for one in wrong if one.code in AT_FAULT]
+    if isinstance(recording, Recording):
+        return replace(recording, channels={k: v for k, v in recording.channels.items() if k not in dead}), said
+    return replace(recording, channels={k: v for k, v in recording.channels.items() if k not in dead}), said
 
 
 def order_vectors(

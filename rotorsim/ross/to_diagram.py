@@ -22,6 +22,7 @@ MOST_SHOWN = 50
 STOP = 0.5  # s
 RECORDED = 1e-4  # s between the samples that are kept, at least
 STABLE_REACH = 2.0  # step times largest |eigenvalue| of A: RK4 is stable to 2.8 along the imaginary axis
+SOFTEST = 1e8  # N/m^2, of shafts; as of rotor_drawing
 RELATIVE = 1e-9  # of the length: sleeves as long as the element they are on
 
 
@@ -150,6 +151,10 @@ class _Writer:
             if shaft.density == 0.0:
                 what = "rho is 0: the shaft has no mass here"
                 self.problems.error(what, shaft.table.name, shaft.table.locate("material"), "give a small density")
+            if shaft.modulus < SOFTEST:
+                what = f"E is {shaft.modulus:g} N/m^2, softer than any shaft"
+                hint = "ROSS saves SI units: 211e9 is 211 GPa"
+                self.problems.error(what, shaft.table.name, shaft.table.locate("material"), hint)
             if n != chain[0].n + len(chain) - 1:
                 what = f"begins at node {n}, and no element ends there"
                 hint = "one shaft without gaps is expected; rotors of several shafts are not supported"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -83,6 +84,24 @@ def test_a_margin_that_the_intervals_leave_open_is_unsure(run: Run, table: Path)
         assert margin["verdict"] == verdict
         assert margin["actual"] == pytest.approx(share)
         assert margin["required"] == pytest.approx(15.9, abs=0.1)
+
+
+def test_a_probe_that_shows_nothing_in_a_table_is_left_out(run: Run, table: Path, tmp_path: Path) -> None:
+    """FAULT: of samples a dead probe was told of, of a table it was one more channel of the machine."""
+    folder = tmp_path / "dead"
+    shutil.copytree(table, folder)
+    document = json.loads((folder / "recording.json").read_text())
+    first = next(iter(document["channels"]))
+    file = folder / document["runs"][0]["file"]
+    head, *rows = file.read_text().splitlines()
+    names = head.split(",")
+    for name in (document["channels"][first]["amplitude"], document["channels"][first]["phase"]):
+        rows = [",".join("0" if names[k] == name else one for k, one in enumerate(row.split(","))) for row in rows]
+    file.write_text("\n".join([head, *rows]) + "\n")
+    found = run("orders", str(folder), "--order", "1")
+    assert f"up: column {first}: constant signal: all 178 vectors are the same\n" in found.stderr
+    assert "1X of rotor.displacement[1]" not in found.stdout
+    assert "constant signal: all 178 vectors are the same" in run("check", str(folder)).output
 
 
 @pytest.mark.slow

@@ -194,7 +194,8 @@ def test_run_says_speed_window_and_whether_the_motion_has_settled(run) -> None:
     slow = json.loads(run("run", "jeffcott", "--set", "controller.KI=20", "--json").stdout)["motion"]
     assert slow["settled"] is False  # the pole is at -0.00072 1/s: nothing moves, and nearly all is still to come
     backward = run("run", "jeffcott", "--set", "speed=-1500 rpm", "--stop", "0.1 s").stdout.splitlines()
-    assert backward[4] == "-1500 rpm (-157.08 rad/s)"
+    said = "-1500 rpm (-157.08 rad/s), from y to x: harmonics are told of shafts that turn from x to y"
+    assert backward[4] == said
     lines = run("run", "jeffcott", "--set", "speed=1500", "--set", "controller.KI=0").stdout.splitlines()
     assert lines[4] == "14323.9 rpm (1500 rad/s); harmonics over 4.0031 .. 5 s, 238 turns; settled"
 

@@ -218,6 +218,12 @@ def test_all_mistakes_come_at_once_each_where_it_is(refusal: Refusal) -> None:
             "a mass beside the shaft must be above 0",
         ),
         (
+            stepped(material={**STEEL, "E": 211.0, "G_s": 81.2}),
+            ("ShaftElement_Shaft Element 0", ""),
+            "E is 211 N/m^2, softer than any shaft",
+            "ROSS saves SI units: 211e9 is 211 GPa",
+        ),
+        (
             stepped(material={**STEEL, "rho": 0.0}),
             ("ShaftElement_Shaft Element 0", ""),
             "rho is 0: the shaft has no mass here",

@@ -101,16 +101,20 @@ def critical_text(found: CriticalSpeeds, channels: Mapping[str, OrderChannel], o
     for one in found.found:
         af = f"{one.peak.amplification:.3g} +- {Z90 * one.std['amplification']:.2g}"
         cells = [f"{rpm(one.peak.speed):.6g} +- {Z90 * rpm(one.std['speed']):.2g}", af]
-        cells += [f"{rpm(one.peak.lower):.5g}", f"{rpm(one.peak.upper):.5g}", f"{one.damping:.3g}", whirl_text(one)]
+        cells += [f"{rpm(one.peak.lower):.5g}", f"{rpm(one.peak.upper):.5g}", _damping_text(one), whirl_text(one)]
         for name in shown:
             unit, factor = shown_unit(channels[name])
             cells.append(f"{factor * from_peak(abs(one.vectors[name])):.3g} {unit}")
         lines.append(cells + ([] if operating is None else margin_cells(one, operating)))
-    header = [head + "N_c [rpm], 90 %", "AF, 90 %", "N1", "N2", "damping", "whirl", *columns, *margins]
+    header = [head + "N_c [rpm], 90 %", "AF, 90 %", "N1", "N2", "damping, 90 %", "whirl", *columns, *margins]
     text = table(header, lines)
     if not found.explained:
         text += f"\nthe modes leave {found.excess:.3g} times the variance of the noise: intervals are wider for it"
     return text + lacks
+
+
+def _damping_text(one: CriticalSpeed) -> str:
+    return f"{one.damping:.3g} +- {Z90 * one.std['damping']:.2g}"
 
 
 def gaps_text(found: CriticalSpeeds, operating: Operating) -> str:
@@ -184,7 +188,7 @@ def _critical_data(found: CriticalSpeeds, operating: Operating | None) -> dict[s
                 "frequency": one.frequency,
                 "damping_ratio": one.damping,
                 "std": dict(one.std),
-                "interval90": {name: list(one.interval90(name)) for name in ("speed", "amplification")},
+                "interval90": {name: list(one.interval90(name)) for name in ("speed", "amplification", "damping")},
                 "whirl": one.whirl if np.isfinite(one.whirl) else None,
                 "amplitude": {name: abs(value) for name, value in one.vectors.items()},
             }

@@ -114,6 +114,8 @@ def motion(
 
     data: dict[str, Any] = {"speed": speed, "speed_rpm": rpm(speed), "settled": None}
     if not harmonics:
+        if speed < 0:
+            return data | {"backward": True}
         few = few_samples(result, angle)
         return data if few is None else data | {"samples_a_turn": few, "least_samples": LEAST_SAMPLES}
     start, stop = window = last_turns(result, angle)
@@ -173,6 +175,8 @@ def motion_line(motion: dict[str, Any]) -> str:
     if not motion:
         return ""
     text = f"{motion['speed_rpm']:.6g} rpm ({motion['speed']:.6g} rad/s)"
+    if "backward" in motion:
+        return f"{text}, from y to x: harmonics are told of shafts that turn from x to y"
     if "samples_a_turn" in motion:
         text += f"; {motion['samples_a_turn']:.3g} samples a turn: harmonics need {motion['least_samples']}, "
         return text + "so a smaller step or record_every"
