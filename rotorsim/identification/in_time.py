@@ -25,6 +25,7 @@ from rotorsim.identification.waveform.along_angle import (
     with_reaction,
 )
 from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs
+from rotorsim.identification.waveform.differences import by_differences
 from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.errors import errors_of
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate, with_angle_errors, with_late_pulses
@@ -186,7 +187,7 @@ def _estimated(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun],
     start[: search.m] = noise.theta
     found = search.minimise(start).reached()
     if search.limited and not clock_ports(diagram):
-        found = search.by_differences(found)
+        found = by_differences(search, found)
     return time_estimate(search, found, noise)
 
 

@@ -125,11 +125,28 @@ def test_noise_is_measured_again_where_a_fit_leaves_another_by_a_fifth(monkeypat
     monkeypatch.setattr(
         waveform, "unpredicted", lambda *_: SimpleNamespace(variance={"y": now}, rows=7, left=np.array([1.0, 2.0]))
     )
-    found = Judged(variance={"y": 1.0}, least=1).recalibrated(Fit({"blocks": {}}, misfit=49.9, rows=100))
+    found = Judged(variance={"y": 1.0}, least=1, steps_of_laws={}, old=frozenset()).recalibrated(
+        Fit({"blocks": {}}, misfit=49.9, rows=100)
+    )
     assert (found is not None) == replaced
     if replaced:
         np.testing.assert_allclose(found.allowed, [1.05, 2.1])
         assert found.least == steps
+
+
+def test_steps_that_a_law_needs_are_those_of_diagrams_that_have_it():
+    """FAULT: once a rate limit had been found, every other law was simulated in as many steps, too."""
+    plain: dict = {"blocks": {"pump": {"type": "gain"}}, "identify": {"pump.gain": {}}}
+    rate_limit = {"type": "rate_limiter"}
+    limited = {
+        "blocks": {**plain["blocks"], "rate_limit": rate_limit},
+        "identify": {**plain["identify"], "rate_limit.rising": {}},
+    }
+    evidence = Judged(least=2, steps_of_laws={}, old=frozenset({"pump.gain"}))
+    of_law = evidence.in_steps(limited, 8)
+    assert (of_law.steps(limited), of_law.steps(plain), of_law.least) == (8, 2, 2)
+    everywhere = evidence.in_steps(plain, 4)
+    assert (everywhere.steps(limited), everywhere.steps(plain)) == (4, 4)
 
 
 def test_a_model_in_time_may_leave_a_hundredth_of_what_the_diagram_left():

@@ -12,6 +12,7 @@ from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.identification import identify
 from rotorsim.identification.waveform.data import Channels, SampledRun
+from rotorsim.identification.waveform.differences import AGREES, by_differences
 from rotorsim.identification.waveform.driven.domain import continued
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
@@ -247,3 +248,13 @@ def test_intervals_hold_though_a_level_stays_at_zero():
         item = found.parameters[name]
         assert abs(item.value - truth) < 4 * item.std
         assert 1e-5 < item.std / truth < 1e-2
+
+
+def test_exact_sensitivities_are_kept_where_the_residual_changes_as_they_say():
+    """By differences every candidate of a tank that never runs empty took 25 simulations more."""
+    search = search_of(TANK, filled(1))
+    found = search.minimise(search.first())
+    assert by_differences(search, found) is found
+    steeper = [[part * (1 + 3 * AGREES) for part in own] for own in found.jacobians]
+    again = by_differences(search, replace(found, jacobians=steeper))
+    np.testing.assert_allclose(again.jacobians[0][0], found.jacobians[0][0], rtol=1e-4, atol=1e-6)

@@ -70,7 +70,8 @@ class Fit:
     equations are elsewhere failed, or the process, which says nothing of the diagram. nonlinear: in its states.
     seconds: CPU time. standing: nuisance parameters of the diagram as given (default: all of this one). line_misfit,
     line_rows: |r|^2 and equations of the asynchronous lines. ends (m, 2): 90 % intervals within the bounds. alone (m,):
-    standard deviations with all other parameters of the same block known.
+    standard deviations with all other parameters of the same block known. starts: the states at the first samples of
+    runs in time.
     """
 
     document: Mapping[str, Any]
@@ -93,6 +94,7 @@ class Fit:
     line_rows: int = 0
     ends: np.ndarray = field(default_factory=_empty)
     alone: np.ndarray = field(default_factory=_empty)
+    starts: np.ndarray = field(default_factory=_empty)
 
     @property
     def freedom(self) -> int:
@@ -160,6 +162,17 @@ def is_adequate(fit: Fit) -> bool:
 def is_noise(fit: Fit) -> bool:
     """Return whether noise can make the residual, of few asynchronous lines beside many harmonics too."""
     return is_adequate(fit) and float(chi2.sf(fit.line_misfit, max(fit.line_rows, 1))) >= CRITERIA.not_explained
+
+
+def times_astray(item: Free, value: float, sizes: Sequence[float]) -> float:
+    """Return how many times the sizes that were stated or known a parameter is, where that is `astray`; else 0.
+
+    What is in series is rigid where it is large, which is no effect: it goes astray where it is small.
+    """
+    size, least = max(sizes, default=0.0), min((size for size in sizes if size > 0), default=0.0)
+    if item.series:
+        return abs(value) / least if CRITERIA.astray * abs(value) < least else 0.0
+    return abs(value) / size if abs(value) > CRITERIA.astray * size > 0 else 0.0
 
 
 def fit_to_plain(fit: Fit) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, Law
 from rotorsim.diagnosis.catalogue.values import structure_of, values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence, Promise
-from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate
+from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate, times_astray
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass, likely_spots
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
 from rotorsim.diagnosis.search.promises import (
@@ -235,18 +235,14 @@ class Trials:
     def _astray(self, before: Fit, fit: Fit) -> str:
         """Return in words the parameters of the diagram that are ``astray`` times what was given and fitted.
 
-        Of an offset that is given as zero nobody has stated a size. What is in series is rigid where it is large, which
-        is no effect: it goes astray where it is small.
+        Of an offset that is given as zero nobody has stated a size.
         """
         found, known = [], before.values
         for item, value in zip(fit.free, fit.theta, strict=True):
             sizes = [item.scale, abs(self.nominal.get(item.name, 0.0)), abs(known.get(item.name, 0.0))]
             sized = item.name in self.nominal and item.name not in self.unsized and item.unit != ANGLE_UNIT
-            least = min((size for size in sizes if size > 0), default=0.0)
-            if sized and item.series and CRITERIA.astray * abs(value) < least:
-                found.append(f"{item.name} {abs(value) / least:.2g} times as large")
-            elif sized and not item.series and abs(value) > CRITERIA.astray * max(sizes) > 0:
-                found.append(f"{item.name} {abs(value) / max(sizes):.2g} times as large")
+            if sized and (times := times_astray(item, value, sizes)):
+                found.append(f"{item.name} {times:.2g} times as large")
         return " and ".join(found)
 
     def _begun(

@@ -34,7 +34,6 @@ NEARBY = (100.0, 30.0, 10.0, 3.0, 0.3, 0.1)  # of that which is small enough: si
 WEAK = (
     1e-8  # times the information on the state that shows best: to show as much, it would have to move 1e4 times as far
 )
-DIFFERENCE = 1e-3  # of an unknown: what it changes is far above what a level at zero jitters, and its square far below
 WORSE = 4.0  # times the cost without the effect, of a start that is taken
 
 Label = tuple[str, str, int]  # subsystem, state, run
@@ -101,6 +100,11 @@ class OutputErrorSearch:
     def m(self) -> int:
         """The number of free parameters, with the coefficients of a force map."""
         return self.systems[0].equations.m
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Subsystems and runs."""
+        return [*product(range(len(self.systems)), range(len(self.runs)))]
 
     @cached_property
     def measured(self) -> list[list[np.ndarray]]:
@@ -239,16 +243,16 @@ class OutputErrorSearch:
         """Return residuals and Jacobians at a point; the cost is infinite where a run diverges."""
         residuals: list[list[np.ndarray]] = [[] for _ in self.systems]
         jacobians: list[list[np.ndarray]] = [[] for _ in self.systems]
-        for k, r in product(range(len(self.systems)), range(len(self.runs))):
+        for k, r in self.pairs:
             y, dy = self.simulated(unknowns, k, r, sub, sensitivities)
             known = np.isfinite(self.measured[k][r])
             residuals[k].append(self.runs[r].beside_lines(self.measured[k][r] - y, known))
             jacobians[k].append(self.runs[r].beside_lines(-dy, known))
             if not (np.isfinite(y).all() and np.isfinite(dy).all()):
                 return Evaluation(unknowns, sub)
-        return self._summed(unknowns, sub, residuals, jacobians)
+        return self.summed(unknowns, sub, residuals, jacobians)
 
-    def _summed(
+    def summed(
         self,
         unknowns: np.ndarray,
         sub: int,
@@ -258,7 +262,7 @@ class OutputErrorSearch:
         """Return the evaluation of residuals and Jacobians, with what priors say; of infinite cost where it is none."""
         cost = 0.0
         gradient, information = np.zeros(len(unknowns)), np.zeros((len(unknowns), len(unknowns)))
-        for k, r in product(range(len(self.systems)), range(len(self.runs))):
+        for k, r in self.pairs:
             root = self.root(k, r)
             e = (root * np.nan_to_num(residuals[k][r])).ravel()
             J = (root[:, :, None] * jacobians[k][r]).reshape(root.size, -1)
@@ -275,32 +279,6 @@ class OutputErrorSearch:
                 gradient[j] += off / item.prior_std
                 information[j, j] += 1 / item.prior_std**2
         return Evaluation(unknowns, sub, cost, residuals, jacobians, gradient, information)
-
-    def by_differences(self, here: Evaluation) -> Evaluation:
-        """Return an evaluation whose Jacobians are central differences.
-
-        Over `DIFFERENCE` of each unknown, or less where that changes more than the residual. A level that stays at zero
-        crosses it in every step, each time with the derivative of the root there: exact sensitivities of the steps grow
-        beyond all bounds, and say that the parameters are known to the last digit.
-        """
-        jacobians, search = [[part.copy() for part in own] for own in here.jacobians], self.unlimited
-        pairs = [*product(range(len(self.systems)), range(len(self.runs)))]
-
-        def moved(j: int, by: float) -> Sequence[Sequence[np.ndarray]]:
-            point = here.unknowns.copy()
-            point[j] += by
-            return search.evaluate(point, here.sub, False).residuals
-
-        for j in np.flatnonzero(here.unknowns).tolist():
-            step = DIFFERENCE * abs(here.unknowns[j])
-            if up := moved(j, step):
-                parts = (self.root(k, r) * np.nan_to_num(up[k][r] - here.residuals[k][r]) for k, r in pairs)
-                step /= max(np.sqrt(sum(float((part**2).sum()) for part in parts) / max(here.cost, 1e-300)), 1.0)
-            up, down = moved(j, step), moved(j, -step)
-            for k, r in pairs if up and down else ():
-                own = np.flatnonzero(self.columns(k, r) == j)
-                jacobians[k][r][:, :, own] = ((up[k][r] - down[k][r]) / (2 * step))[:, :, None]
-        return self._summed(here.unknowns, here.sub, here.residuals, jacobians)
 
     @cached_property
     def unlimited(self) -> OutputErrorSearch:

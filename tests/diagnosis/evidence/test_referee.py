@@ -141,6 +141,12 @@ def test_laws_are_sharpened_until_that_no_longer_shows(misfits, steps, time):
     class Steps:
         least: int = 1
 
+        def steps(self, document):
+            return self.least
+
+        def in_steps(self, document, steps):
+            return Steps(steps)
+
         def fit(self, document, starts):
             at = [0.8, 0.2, 0.05, 0.0125].index(document["blocks"]["play"]["parameters"]["time_constant"])
             assert self.least == 4**at

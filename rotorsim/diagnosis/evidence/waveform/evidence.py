@@ -81,10 +81,11 @@ class WaveformEvidence(WaveformFits, Defaults):
             noise, most = _unpredicted(self, fit), CRITERIA.model_error
             ratio = [value / self.variance[signal] for signal, value in noise.variance.items()]
             alike = min(ratio) >= 1 / CRITERIA.slight and max(ratio) <= CRITERIA.slight
-            if alike and beside[0].least == self.least and beginning == self.beginning:
+            if alike and beside[0].least == self.steps(fit.document) and beginning == self.beginning:
                 return None
-        changed = replace(self, variance=noise.variance, rows=noise.rows, allowed=most * noise.left)
-        return replace(changed, least=beside[0].least, beginning=beginning)
+        changed = self.in_steps(fit.document, beside[0].least)
+        left = most * noise.left
+        return replace(changed, variance=noise.variance, rows=noise.rows, allowed=left, beginning=beginning)
 
     def where_it_shows(self, fit: Fit) -> Self:
         """Return the evidence that looks at all of the runs where their beginning does not show what a fit leaves."""
@@ -101,7 +102,7 @@ class WaveformEvidence(WaveformFits, Defaults):
     def at(self, fit: Fit) -> Fit:
         """Return a fit to the evidence before recalibration as this one judges it, at the same parameters."""
         search = replace(self.search(values_in(fit.document, fit.values)), hold="theta")
-        evaluation = search.minimise(self.first_point(search))
+        evaluation = search.minimise(self.first_point(search, fit))
         return replace(self._summary(fit.document, search, evaluation), free=fit.free, seconds=fit.seconds)
 
     def bounds(self, fit: Fit, better: Fit | None = None) -> LawBounds | None:
@@ -236,9 +237,9 @@ class WaveformEvidence(WaveformFits, Defaults):
         document = values_in(fit.document, fit.values)
         try:
             if self.held:
-                return held_score(self.simulation(document, self.held), self.variance, self.units)
+                return held_score(*self.beside(document, self.held), self.variance, self.units)
             search = self.search(document)
-            return left_out_score(search, self.first_point(search), self.variance, self.units)
+            return left_out_score(search, self.first_point(search, fit), self.variance, self.units)
         except FAILURES as error:
             return Score({"": float("nan")}, {}, reason=reason_of(error))
 
@@ -276,10 +277,10 @@ class WaveformEvidence(WaveformFits, Defaults):
         as it is, where shorter ones explain less. With the evidence that has enough steps between samples for them.
         """
         names, evidence = [name for item in chosen for name in item.smoothed], self
-        while names and evidence.least * SHORTER <= SIMULATION_SUBSTEPS:
+        while names and (steps := SHORTER * evidence.steps(fit.document)) <= SIMULATION_SUBSTEPS:
             before = values_in(fit.document, fit.values)
             times = {name: value_at(before, name) / SHORTER for name in names}
-            finer = replace(evidence, least=evidence.least * SHORTER)
+            finer = evidence.in_steps(fit.document, steps)
             sharper = finer.fit(values_in(before, times), [[{}]])
             if sharper.failure or sharper.misfit > fit.misfit + 1:
                 break
@@ -315,10 +316,10 @@ class WaveformEvidence(WaveformFits, Defaults):
     def _undefined(self, fit: Fit) -> list[str]:
         """Return the runs, hold-out too, that a fitted diagram gets through only as laws go on where they end."""
         runs = (*self.runs, *self.held)
-        search = self.simulation(values_in(fit.document, fit.values), runs)
-        if not search.continued:
+        document = values_in(fit.document, fit.values)
+        if not self.simulation(document, runs).continued:
             return []
-        found = search.minimise(search.first())
+        search, found = self.beside(document, runs)
         as_given = replace(search, continued=False)
         outputs = (as_given.simulated(found.unknowns, 0, r, found.sub, False)[0] for r in range(len(runs)))
         return [run.id for run, y in zip(runs, outputs, strict=True) if not np.isfinite(y).all()]
@@ -330,10 +331,11 @@ def _open(fit: Fit) -> set[str]:
 
 
 @lru_cache(maxsize=2)  # of each fit it is asked for the noise, for the verdict and for the report
+@lru_cache(maxsize=2)
 def _beside(evidence: WaveformEvidence, fit: Fit) -> tuple[OutputErrorSearch, Evaluation] | None:
     """Return the search and the evaluation of a fit, whose weights follow what it leaves; None if it diverges."""
     search = evidence.search(values_in(fit.document, fit.values))
-    search, evaluation = reweighted(search, evidence.first_point(search))
+    search, evaluation = reweighted(search, evidence.first_point(search, fit))
     if not np.isfinite(evaluation.cost):
         return None
     if evidence.parts:

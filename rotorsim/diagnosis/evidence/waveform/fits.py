@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from operator import attrgetter
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.differences import by_differences
 from rotorsim.identification.waveform.noise import (
     Stretch,
     Variance,
@@ -40,6 +43,7 @@ FEW_STEPS = 3  # on all samples, until it is known which fits are worth more
 PROMISED_PARTS = 2  # of long runs what laws promise is judged on every second part
 FOLLOWED = 3  # starts of a law on parts of such runs: those that promise most
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
+BESIDE = 32  # motions of documents beside single runs that are kept
 DIVERGES, SENSITIVITIES_DIVERGE = "the simulation diverges", "the sensitivities of the simulation diverge"
 
 
@@ -47,13 +51,14 @@ DIVERGES, SENSITIVITIES_DIVERGE = "the simulation diverges", "the sensitivities 
 class WaveformFits(SampledRuns):
     """Runs in time, driven by their recorded inputs, to which diagrams are fitted.
 
-    sizes: largest magnitude of every signal, recorded or simulated. variance: what counts as noise. rows: independent
-    samples. stretches: into which the runs are divided. allowed (B,): what an adequate model may leave of each when it
-    is left out. by_force: whether noise is what a diagram with a flexible force leaves. least: steps between samples.
-    starts: states at the first samples. old: names of the parameters that were free at first. held: hold-out runs.
-    parts: of long runs, at all speeds, on which starts are chosen and followed; part_starts: their states at first
-    samples. near, stated: parameters of the diagram that leave least, and as it was given. beginning: of the runs, as
-    many samples of all on which starts are chosen and followed where there are no parts.
+    sizes: largest magnitude of every signal, recorded or simulated. variance: what counts as noise. rows:
+    independent samples. stretches: into which the runs are divided. allowed (B,): what an adequate model may leave
+    of each when it is left out. by_force: whether noise is what a diagram with a flexible force leaves. least:
+    steps between samples; steps_of_laws: of diagrams with blocks of a type that needs more. starts: states at the
+    first samples. old: names of the parameters that were free at first. held: hold-out runs. parts: of long runs,
+    at all speeds, on which starts are chosen and followed; part_starts: their states at first samples. near,
+    stated: parameters of the diagram that leave least, and as it was given. beginning: of the runs, as many samples
+    of all on which starts are chosen and followed where there are no parts.
     """
 
     variance: Variance
@@ -71,6 +76,7 @@ class WaveformFits(SampledRuns):
     near: Mapping[str, float] = field(default_factory=dict)
     stated: Mapping[str, float] = field(default_factory=dict)
     beginning: int = SHORT
+    steps_of_laws: Mapping[str, int] = field(default_factory=dict)
 
     def largest(self) -> Mapping[str, float]:
         """Return the largest magnitude of signals by flat name, the length of the longest run, and its longest step."""
@@ -89,19 +95,41 @@ class WaveformFits(SampledRuns):
             what = "its controllers can no longer be told from the rest by what was measured"
             raise RotorsimError(Problem(what, diagram.name))
         weights = weights_of(self.variance, self.runs, self.rows)
-        return OutputErrorSearch(systems, self.runs, weights, self.least).unlimited
+        return OutputErrorSearch(systems, self.runs, weights, self.steps(document)).unlimited
 
     def simulation(self, document: Mapping[str, Any], runs: Sequence[SampledRun]) -> OutputErrorSearch:
         """Return a document as it is beside some runs, of which only the starts are searched. Raises RotorsimError."""
         systems = subsystems_of(self.load(document), self.channels)[:1]
         weights = {signal: 1 / value for signal, value in self.variance.items()}
-        return OutputErrorSearch(systems, runs, weights, self.least, hold="theta").unlimited
+        return OutputErrorSearch(systems, runs, weights, self.steps(document), hold="theta").unlimited
+
+    def steps(self, document: Mapping[str, Any]) -> int:
+        """Return the steps between samples that a document needs, at least."""
+        types = {block["type"] for block in document["blocks"].values()}
+        return max(self.least, *(steps for law, steps in self.steps_of_laws.items() if law in types), 1)
+
+    def in_steps(self, document: Mapping[str, Any], steps: int) -> Self:
+        """Return these in which a document has so many steps: its laws, or, where there are none, all documents."""
+        entered = {name.rpartition(".")[0] for name in document.get("identify", {}) if name not in self.old}
+        laws = {block["type"] for name, block in document["blocks"].items() if name in entered}
+        if not laws:
+            return replace(self, least=steps)
+        return replace(self, steps_of_laws={**self.steps_of_laws, **dict.fromkeys(laws, steps)})
+
+    def beside(self, document: Mapping[str, Any], runs: Sequence[SampledRun]) -> tuple[OutputErrorSearch, Evaluation]:
+        """Return a document as it is beside runs, from the starts that leave least. Raises RotorsimError."""
+        found = [_beside(self, json.dumps(document), run) for run in runs]
+        search = self.simulation(document, runs)
+        m = search.m
+        unknowns = np.concatenate([found[0].unknowns[:m], *(one.unknowns[m:] for one in found)])
+        residuals = [[one.residuals[0][0] for one in found if one.residuals]]
+        steps, cost = max(one.sub for one in found), sum(one.cost for one in found)
+        return search, Evaluation(unknowns, steps, cost, residuals)
 
     def simulated(self, document: Mapping[str, Any], runs: Sequence[SampledRun]) -> list[np.ndarray] | None:
         """Return the outputs of a document as it is in every run, (N, c), from the best starts; None if it diverges."""
         try:
-            search = self.simulation(document, runs)
-            evaluation = search.minimise(search.first())
+            search, evaluation = self.beside(document, runs)
         except (*FAILURES, KeyError):
             return None
         if not np.isfinite(evaluation.cost):
@@ -135,7 +163,7 @@ class WaveformFits(SampledRuns):
         stated = starts[0][0] if starts and starts[0] else {}
         if stated and effort.lost and not self.parts and is_lost(short, min(ends, key=attrgetter("cost"))):
             point = short.stated(first, stated)
-            if short.substeps(point) <= SHOT_SUBSTEPS * self.least:
+            if short.substeps(point) <= SHOT_SUBSTEPS * short.least:
                 ends.append(short.minimise(shot(short, point), limit))
         start = min(ends, key=attrgetter("cost")).unknowns
         if self.parts:
@@ -152,11 +180,13 @@ class WaveformFits(SampledRuns):
         short = replace(search, runs=parts, weights=weights_of(self.variance, parts, self.rows))
         return short, short.first(starts)
 
-    def first_point(self, search: OutputErrorSearch) -> np.ndarray:
-        """Return the unknowns that a diagram states, states at first samples as at first found or as measured.
+    def first_point(self, search: OutputErrorSearch, fit: Fit | None = None) -> np.ndarray:
+        """Return the unknowns that a diagram states, states at first samples as of its fit, as first found or measured.
 
         Those of a diagram that lacks much may be far from any motion of the repaired one.
         """
+        if fit is not None and len(fit.starts):
+            return np.concatenate([search.first()[: search.m], fit.starts])
         return _cheaper(search, search.first(self.starts), search.first())
 
     def _beginning(self, fit: Fit) -> int:
@@ -242,7 +272,7 @@ class WaveformFits(SampledRuns):
         if not np.isfinite(evaluation.reached().cost):
             return Fit(document, failure=DIVERGES)
         if search.limited and not self.parts:
-            evaluation = search.by_differences(evaluation)
+            evaluation = by_differences(search, evaluation)
         m, count = search.m, len(search.free)
         residual, J, sizes = stacked(search, evaluation, self.stretches)
         at_bound = search.at_bound(evaluation.unknowns)
@@ -263,7 +293,15 @@ class WaveformFits(SampledRuns):
             run_misfit=energies,
             left_out=loo,
             goodness=goodness_left_out(loo, self.allowed),
+            starts=evaluation.unknowns[m:],
         )
+
+
+@lru_cache(maxsize=BESIDE)
+def _beside(fits: WaveformFits, document: str, run: SampledRun) -> Evaluation:
+    """Return a document beside a run, from the start that leaves least; scores, remarks and figures ask for it."""
+    search = fits.simulation(json.loads(document), [run])
+    return replace(search.minimise(search.first()), jacobians=())
 
 
 def _cheaper(search: OutputErrorSearch, point: np.ndarray, other: np.ndarray) -> np.ndarray:

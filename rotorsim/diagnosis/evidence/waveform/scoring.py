@@ -16,10 +16,11 @@ from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 FOLDS = 4  # stretches of all runs, each left out once
 
 
-def held_score(search: OutputErrorSearch, variance: Variance, units: Mapping[str, str]) -> Score:
-    """Return the score of runs of which a search finds only the starts."""
-    fits = [(search.minimise(search.first()), [slice(None)] * len(search.runs))]
-    return _score(search, fits, variance, units)
+def held_score(
+    search: OutputErrorSearch, evaluation: Evaluation, variance: Variance, units: Mapping[str, str]
+) -> Score:
+    """Return the score of runs of which only the starts were searched."""
+    return _score(search, [(evaluation, [slice(None)] * len(search.runs))], variance, units)
 
 
 def left_out_score(search: OutputErrorSearch, first: np.ndarray, variance: Variance, units: Mapping[str, str]) -> Score:
