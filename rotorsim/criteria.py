@@ -60,6 +60,8 @@ class Criteria:
     significant: float = 2.0
     # times its size, as given and in the fit before: nobody states a value so wrong, and what cancels an effect is so
     astray: float = 100.0
+    # times what is stated, and a tenth: where the diagram as given stays if it went astray. In decades half as far
+    near_stated: float = 10.0
     # physics that explain the data alike, beyond which nothing is named: a longer list is no name
     most_equivalent: int = 4
     # probability from which a place is listed

@@ -119,19 +119,20 @@ def _materials(given: Given) -> Iterator[Mistake]:
                 yield name, at, f"{one:g} kg/m^3 is the density of no solid", 'give its unit: "7.85 g/cm^3"'
 
 
-def _overlaps(option: Any, given: Given) -> Iterator[Mistake]:
-    """Yield discs that share material with an earlier one, and those that touch neither shaft nor sleeve."""
+def _discs(option: Any, given: Given) -> list[tuple[float, float, float, float]]:
+    """Return ends, bore and outer diameter of each disc by dimensions; none where it is said elsewhere what lacks."""
     count = len(option.drawn_disc_positions)
     sizes = [full(given.get(f"drawn_disc_{key}", 0.0), count) for key in ("width", "inner_diameter", "outer_diameter")]
-    if any(len(size) != count for size in sizes) or not all(sizes[0]) or not all(sizes[2]):  # said elsewhere
-        return
-    discs = [
-        (z - width / 2, z + width / 2, bore, outer)
-        for z, width, bore, outer in zip(option.drawn_disc_positions, *sizes, strict=True)
-    ]
-    sleeves = zip(
-        sleeve_ends(option), full(given.get("sleeve_outer_diameter", 0.0), len(option.sleeve_begins)), strict=False
-    )
+    if any(len(size) != count for size in sizes) or not all(sizes[0]) or not all(sizes[2]):
+        return []
+    rows = zip(option.drawn_disc_positions, *sizes, strict=True)
+    return [(z - width / 2, z + width / 2, bore, outer) for z, width, bore, outer in rows]
+
+
+def _overlaps(option: Any, given: Given) -> Iterator[Mistake]:
+    """Yield discs that share material with an earlier one, and those that touch neither shaft nor sleeve."""
+    discs, ends = _discs(option, given), sleeve_ends(option)
+    sleeves = zip(ends, full(given.get("sleeve_outer_diameter", 0.0), len(ends)), strict=False)
     carried = [(a, b, outer) for (a, b), outer in sleeves]
     carried += [
         (one.begin, one.end, max(map(one.outer_at, (one.begin, one.end)))) for one in sections_of(option, given)
@@ -143,37 +144,22 @@ def _overlaps(option: Any, given: Given) -> Iterator[Mistake]:
             if along > FITS * min(end - begin, last - first) and across > FITS * min(outer, wide):
                 what = f"disc {k + 1} and disc {j + 1} share {along * 1e3:.4g} mm of the axis"
                 yield "drawn_disc_positions", (k,), what, "their material would count twice"
-        within = [size for a, b, size in carried if a < end and b > begin and size < outer]
-        if bore and bore > max(within, default=0.0) * (1 + LOOSE):
-            inside = f"{bore * 1e3:g} mm, and what is in it {max(within, default=0.0) * 1e3:g} mm"
-            what = f"the bore of disc {k + 1} is {inside}"
+        within = max((size for a, b, size in carried if a < end and b > begin and size < outer), default=0.0)
+        if bore and bore > within * (1 + LOOSE):
+            what = f"the bore of disc {k + 1} is {bore * 1e3:g} mm, and what is in it {within * 1e3:g} mm"
             yield "drawn_disc_positions", (k,), what, "nothing would carry it: give the shaft's diameter, or a sleeve"
 
 
 def _bores(option: Any, given: Given) -> Iterator[Mistake]:
     """Yield discs and sleeves whose bore is narrower than the shaft within them: its material would count twice."""
-    sections, widths = (
-        sections_of(option, given),
-        full(given.get("drawn_disc_width", 0.0), len(option.drawn_disc_positions)),
-    )
-    discs = [(z - width / 2, z + width / 2) for z, width in zip(option.drawn_disc_positions, widths, strict=False)]
-    for name, prefix, what, ends in (
-        ("drawn_disc_positions", "drawn_disc_", "disc", discs if "drawn_disc_width" in given else []),
-        ("sleeve_begins", "sleeve_", "sleeve", sleeve_ends(option)),
-    ):
-        bores = full(given.get(f"{prefix}inner_diameter", 0.0), len(ends))
-        for k, ((a, b), bore) in enumerate(zip(ends, bores, strict=False)):
-            within = [
-                one.outer_at(min(max(z, one.begin), one.end))
-                for one in sections
-                if one.begin < b and one.end > a
-                for z in (a, b)
-            ]
-            if within and all(bore < outer * (1 - FITS) for outer in within):
-                shaft = f"{bore * 1e3:g} mm, and the shaft in it {min(within) * 1e3:g} mm"
-                yield (
-                    name,
-                    (k,),
-                    f"the bore of {what} {k + 1} is {shaft}",
-                    "give the shaft's diameter: its material would count twice",
-                )
+    sections, ends = sections_of(option, given), sleeve_ends(option)
+    bores = full(given.get("sleeve_inner_diameter", 0.0), len(ends))
+    parts = [("drawn_disc_positions", "disc", k, *disc[:3]) for k, disc in enumerate(_discs(option, given))]
+    pairs = zip(ends, bores, strict=False)
+    parts += [("sleeve_begins", "sleeve", k, a, b, bore) for k, ((a, b), bore) in enumerate(pairs)]
+    for name, what, k, a, b, bore in parts:
+        inside = [one for one in sections if one.begin < b and one.end > a]
+        within = [one.outer_at(min(max(z, one.begin), one.end)) for one in inside for z in (a, b)]
+        if within and all(bore < outer * (1 - FITS) for outer in within):
+            text = f"the bore of {what} {k + 1} is {bore * 1e3:g} mm, and the shaft in it {min(within) * 1e3:g} mm"
+            yield name, (k,), text, "give the shaft's diameter: its material would count twice"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.base_fit import base_fit
@@ -30,8 +31,6 @@ from rotorsim.identification.waveform.parts import parts_of
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
 from rotorsim.recordings.recording import Recording
 
-NEAR = 10.0  # times what is stated, and a tenth: half as far, in decades, as what nobody states so wrong (`astray`)
-
 
 def open_waveforms(
     diagram: Diagram,
@@ -55,10 +54,10 @@ def open_waveforms(
 
 
 def nearer(evidence: WaveformEvidence, base: Fit) -> Fit:
-    """Return the fit of a diagram as given; within NEAR times what was stated, where else it went astray for nothing.
+    """Return the fit of a diagram as given; within `near_stated` times what was stated, where it went astray in vain.
 
-    For want of what is missing a parameter may leave all sizes (a heater that warms up at once) and explain no more
-    than noise would ask for. Beside such values no law shows what it explains.
+    For want of what is missing a parameter may leave all sizes (a heater that warms up at once), and the data are not
+    explained. Beside such values no law shows what it explains.
     """
     stated = {item.name: item.value for item in base.free if item.value and item.unit != ANGLE_UNIT}
     pairs = zip(base.free, base.theta.tolist(), strict=True)
@@ -69,7 +68,7 @@ def nearer(evidence: WaveformEvidence, base: Fit) -> Fit:
     free = dict(document["identify"])
     for name, value in stated.items():
         given = {key: text for key, text in free[name].items() if key not in ("low", "high")}
-        low, high = sorted((value / NEAR, value * NEAR))
+        low, high = sorted((value / CRITERIA.near_stated, value * CRITERIA.near_stated))
         item = next(one for one in base.free if one.name == name)
         free[name] = {**given, "low": max(low, item.low), "high": min(high, item.high)}
     within = evidence.fit({**document, "identify": free}, [[{}]])
