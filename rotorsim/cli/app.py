@@ -23,43 +23,63 @@ from rotorsim.cli.shared import echo_json, problem_data, show_problems, warn
 from rotorsim.errors import Problem, RotorsimError, visible
 from rotorsim.jobs.threads import ONE_THREAD
 
-# Verb -> one line of help. The verb's module is imported only when the verb is called: --help stays instant.
-VERBS = {
-    "run": "Simulate a diagram; write, plot and summarise the recorded signals.",
-    "sweep": "Simulate a diagram many times with varied parameters: maps, bands, bifurcations, cascades.",
-    "check": "Find every mistake in diagrams and recordings.",
-    "new": "Copy a diagram that comes with rotorsim, to be edited.",
-    "fmt": "Write diagrams in canonical form.",
-    "blocks": "List the blocks, or show one: ports, parameters, equation, source.",
-    "draw": "Draw a diagram as SVG.",
-    "swap": "Replace a block by another type with the same ports.",
-    "diff": "Say what differs between two diagrams, apart from layout and spelling.",
-    "modes": "Natural frequencies, damping ratios and whirl of the linearised diagram.",
-    "campbell": "Natural frequencies against speed, tracked.",
-    "frequency": "Frequency response from a port to a signal: Bode plot, peaks.",
-    "step": "Response of a signal to a step at a port: overshoot, rise and settling time.",
-    "margins": "Stability margins of bearing loops after ISO 14839-3, of a diagram or of an injected sweep.",
-    "accept": "Judge a machine by ISO 14839 and API 617, by its diagram and by recordings: one report.",
-    "periodic": "The settled motion at one or many speeds by harmonic balance.",
-    "spectrum": "Full spectrum and harmonics of two-axis signals of a recording, a result or a diagram.",
-    "orders": "Orders of run-ups over the speed: Bode, polar, cascade; critical speeds and separation margins.",
-    "record": "Simulate measurements of a diagram into a recording.",
-    "identify": "Estimate the free parameters of a diagram from a recording, with intervals and verdicts.",
-    "sensitivity": "Move the identified parameters by noise and wrong known ones, over many seeds.",
-    "diagnose": "Say where a diagram and a recording differ, what physics is missing, and repair the diagram.",
-    "locate": "Find the node at which a crack or another force acts, from a recording.",
-    "fmu": "Export diagrams as FMUs for other tools; look into FMUs.",
-    "ssp": "Export diagrams as systems of FMUs (SSP); import such systems as diagrams.",
-    "import": "Write a model of another program as a diagram: rotors of ROSS.",
-    "serve": "Open a page on which a diagram is looked at, edited and run.",
-    "cosim": "Co-simulate a diagram with FMUs, or parts of it; say what the coupling costs.",
-    "docs": "List the pages that come with rotorsim, or show one.",
-    "cache": "Show or clear the cache of compiled models.",
-    "version": "Print the version.",
+# Room and title -> verb -> one line of help. A verb's module is imported only when it is called: --help stays instant.
+ROOMS = {
+    ("diagrams", "Diagrams"): {
+        "check": "Find every mistake in diagrams and recordings.",
+        "new": "Copy a diagram that comes with rotorsim, to be edited.",
+        "fmt": "Write diagrams in canonical form.",
+        "blocks": "List the blocks, or show one: ports, parameters, equation, source.",
+        "draw": "Draw a diagram as SVG.",
+        "swap": "Replace a block by another type with the same ports.",
+        "diff": "Say what differs between two diagrams, apart from layout and spelling.",
+        "serve": "Open a page on which a diagram is looked at, edited and run.",
+    },
+    ("simulations", "Simulation"): {
+        "run": "Simulate a diagram; write, plot and summarise the recorded signals.",
+        "sweep": "Simulate a diagram many times with varied parameters: maps, bands, bifurcations, cascades.",
+        "cosim": "Co-simulate a diagram with FMUs, or parts of it; say what the coupling costs.",
+    },
+    ("analyses", "Analysis"): {
+        "modes": "Natural frequencies, damping ratios and whirl of the linearised diagram.",
+        "campbell": "Natural frequencies against speed, tracked.",
+        "frequency": "Frequency response from a port to a signal: Bode plot, peaks.",
+        "step": "Response of a signal to a step at a port: overshoot, rise and settling time.",
+        "margins": "Stability margins of bearing loops after ISO 14839-3, of a diagram or of an injected sweep.",
+        "accept": "Judge a machine by ISO 14839 and API 617, by its diagram and by recordings: one report.",
+        "periodic": "The settled motion at one or many speeds by harmonic balance.",
+    },
+    ("recordings", "Recordings"): {
+        "spectrum": "Full spectrum and harmonics of two-axis signals of a recording, a result or a diagram.",
+        "orders": "Orders of run-ups over the speed: Bode, polar, cascade; critical speeds and separation margins.",
+        "record": "Simulate measurements of a diagram into a recording.",
+        "identify": "Estimate the free parameters of a diagram from a recording, with intervals and verdicts.",
+        "sensitivity": "Move the identified parameters by noise and wrong known ones, over many seeds.",
+        "diagnose": "Say where a diagram and a recording differ, what physics is missing, and repair the diagram.",
+        "locate": "Find the node at which a crack or another force acts, from a recording.",
+    },
+    ("exchange", "Other tools"): {
+        "fmu": "Export diagrams as FMUs for other tools; look into FMUs.",
+        "ssp": "Export diagrams as systems of FMUs (SSP); import such systems as diagrams.",
+        "import": "Write a model of another program as a diagram: rotors of ROSS.",
+    },
+    ("about", "About rotorsim"): {
+        "docs": "List the pages that come with rotorsim, or show one.",
+        "cache": "Show or clear the cache of compiled models.",
+        "version": "Print the version.",
+    },
 }
+VERBS = {verb: text for verbs in ROOMS.values() for verb, text in verbs.items()}
 
 
 _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))  # of a disk, a file, a quota
+
+
+def verb(name: str) -> click.Command:
+    """Return the command of a verb."""
+    room = next(room for (room, _), verbs in ROOMS.items() if name in verbs)
+    command: click.Command = import_module(f"rotorsim.cli.{room}.{name}").command
+    return command
 
 
 class _Verbs(click.Group):
@@ -69,14 +89,12 @@ class _Verbs(click.Group):
         return list(VERBS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in VERBS:
-            return None
-        command: click.Command = import_module(f"rotorsim.cli.{cmd_name}").command
-        return command
+        return verb(cmd_name) if cmd_name in VERBS else None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Verbs"):
-            formatter.write_dl(list(VERBS.items()))
+        for (_, title), verbs in ROOMS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name.ljust(max(map(len, VERBS))), text) for name, text in verbs.items()])
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 import pytest
 
-from rotorsim.cli.app import VERBS
+from rotorsim.cli.app import VERBS, verb
 from tests.cli.conftest import Run
 
 HELP = "How figures and tables show amplitudes of sinusoids; --json stays 0-peak, in SI."
@@ -14,9 +12,9 @@ HELP = "How figures and tables show amplitudes of sinusoids; --json stays 0-peak
 
 def test_every_verb_that_shows_amplitudes_has_the_option() -> None:
     having = {
-        verb
-        for verb in VERBS
-        for option in import_module(f"rotorsim.cli.{verb}").command.params
+        name
+        for name in VERBS
+        for option in verb(name).params
         if getattr(option, "help", None)
         == "How figures and tables show amplitudes of sinusoids; --json stays 0-peak, in SI."
     }

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from rotorsim import load_orders
-from rotorsim.cli.orders import PHASE_WORDS
+from rotorsim.cli.recordings.orders import PHASE_WORDS
 from rotorsim.recordings.order_writing import save_orders
 from rotorsim.recordings.orders import PHASES, OrderRecording
 from rotorsim.signals.orders.extraction import tracked_recording

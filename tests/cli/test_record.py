@@ -163,7 +163,7 @@ def test_identify_finds_what_record_hid(run) -> None:
 
 def test_progress_goes_over_all_runs(run, monkeypatch) -> None:
     shown: list[float] = []
-    monkeypatch.setattr("rotorsim.cli.record.progress_bar", lambda label, wanted: nullcontext(shown.append))
+    monkeypatch.setattr("rotorsim.cli.recordings.record.progress_bar", lambda label, wanted: nullcontext(shown.append))
     run("record", "jeffcott", "--out", "m", "--speeds", "1200 rpm, 1500 rpm", "--progress")
     assert shown == sorted(shown)
     assert {0.5, 1.0} <= set(shown)

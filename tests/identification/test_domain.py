@@ -12,7 +12,7 @@ from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.identification import identify
 from rotorsim.identification.waveform.data import Channels, SampledRun
-from rotorsim.identification.waveform.differences import AGREES, by_differences
+from rotorsim.identification.waveform.differences import AS_TOLD, by_differences
 from rotorsim.identification.waveform.driven.domain import continued
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
@@ -255,6 +255,6 @@ def test_exact_sensitivities_are_kept_where_the_residual_changes_as_they_say():
     search = search_of(TANK, filled(1))
     found = search.minimise(search.first())
     assert by_differences(search, found) is found
-    steeper = [[part * (1 + 3 * AGREES) for part in own] for own in found.jacobians]
+    steeper = [[part * (1 + 3 * AS_TOLD) for part in own] for own in found.jacobians]
     again = by_differences(search, replace(found, jacobians=steeper))
     np.testing.assert_allclose(again.jacobians[0][0], found.jacobians[0][0], rtol=1e-4, atol=1e-6)

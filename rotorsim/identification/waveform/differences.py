@@ -9,7 +9,7 @@ import numpy as np
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 
 DIFFERENCE = 1e-3  # of an unknown: what it changes is far above what a level at zero jitters, and its square far below
-AGREES = 0.01  # of the change that a Jacobian tells: it falls as the square of DIFFERENCE where laws are smooth
+AS_TOLD = 0.01  # of the change that a Jacobian tells: it falls as the square of DIFFERENCE where laws are smooth
 
 
 def by_differences(search: OutputErrorSearch, here: Evaluation) -> Evaluation:
@@ -38,7 +38,7 @@ def by_differences(search: OutputErrorSearch, here: Evaluation) -> Evaluation:
 def _is_slope(search: OutputErrorSearch, here: Evaluation) -> bool:
     """Return whether the residual changes as its exact Jacobian says where all unknowns move at once.
 
-    Each by as much as it would for its difference, up and down in turn, to AGREES of the change.
+    Each by as much as it would for its difference, up and down in turn, to AS_TOLD of the change.
     """
     size = DIFFERENCE * np.abs(here.unknowns)
     change = np.sqrt(np.maximum(np.diag(here.information), 0.0)) * size
@@ -52,7 +52,7 @@ def _is_slope(search: OutputErrorSearch, here: Evaluation) -> bool:
         root, slope = search.root(k, r), here.jacobians[k][r] @ move[search.columns(k, r)]
         off += float(((root * np.nan_to_num((up[k][r] - down[k][r]) / 2 - slope)) ** 2).sum())
         told += float(((root * np.nan_to_num(slope)) ** 2).sum())
-    return off <= AGREES**2 * told
+    return off <= AS_TOLD**2 * told
 
 
 def _moved_by(search: OutputErrorSearch, here: Evaluation, move: np.ndarray) -> Sequence[Sequence[np.ndarray]]:

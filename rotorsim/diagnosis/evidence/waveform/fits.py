@@ -43,7 +43,7 @@ FEW_STEPS = 3  # on all samples, until it is known which fits are worth more
 PROMISED_PARTS = 2  # of long runs what laws promise is judged on every second part
 FOLLOWED = 3  # starts of a law on parts of such runs: those that promise most
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
-BESIDE = 32  # motions of documents beside single runs that are kept
+KEPT_MOTIONS = 32  # motions of documents beside single runs that are kept
 DIVERGES, SENSITIVITIES_DIVERGE = "the simulation diverges", "the sensitivities of the simulation diverge"
 
 
@@ -297,7 +297,7 @@ class WaveformFits(SampledRuns):
         )
 
 
-@lru_cache(maxsize=BESIDE)
+@lru_cache(maxsize=KEPT_MOTIONS)
 def _beside(fits: WaveformFits, document: str, run: SampledRun) -> Evaluation:
     """Return a document beside a run, from the start that leaves least; scores, remarks and figures ask for it."""
     search = fits.simulation(json.loads(document), [run])

@@ -1,0 +1,1 @@
+"""Verbs of measurements: made, looked at, compared with a diagram."""
