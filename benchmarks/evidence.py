@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.engine import controllers, speed
 from benchmarks.harness import ROOT, Line, at_most, run_process, within, write
-from rotorsim.linear.eigenmodes import modes
+from rotorsim.linear.modes.eigenmodes import modes
 from tests.reference.excitation import RPM
 from tests.reference.published import FE_RIGID_AT_3000_RPM, FE_RIGID_AT_REST, RUN_UP_RIGHT, RUN_UP_THESIS, as_printed
 from tests.reference.rotor import fe_rigid

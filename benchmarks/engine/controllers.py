@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.harness import ROOT, run_process
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.margins import margins
+from rotorsim.linear.control.margins import margins
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
 from rotorsim.report.style import GREY, figure, styled

@@ -28,7 +28,7 @@ from benchmarks.harness import Line, at_most
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.fmi.export.export import export_fmu
 from rotorsim.fmi.functions import functions_of
-from rotorsim.linear.eigenmodes import modes
+from rotorsim.linear.modes.eigenmodes import modes
 from rotorsim.model.compiled import model_for_runs
 from rotorsim.model.emit.toolchain import compile_c, find_compiler
 from rotorsim.model.instance import make_instance

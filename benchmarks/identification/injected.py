@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorsim.linear.margins import zone_of
+from rotorsim.linear.control.margins import zone_of
 from rotorsim.recordings.injection import load_injection
 from rotorsim.signals.injection.measured_margins import MeasuredAxis, measured_margins
 from tests.signals.injection.machine import Machine, chirp, measured, stepped, write

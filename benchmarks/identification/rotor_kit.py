@@ -36,7 +36,7 @@ from rotorsim.identification.waveform.order_tracking import (
     tracked_orders,
     vectors_of,
 )
-from rotorsim.linear.eigenmodes import modes
+from rotorsim.linear.modes.eigenmodes import modes
 from rotorsim.model.load import load
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.recordings.orders import OrderRecording, load_orders

@@ -10,11 +10,11 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.campbell import Campbell, campbell
-from rotorsim.linear.collocation import controlled
 from rotorsim.linear.linearisation import speed_of
 from rotorsim.linear.loop import SENSOR, arriving
-from rotorsim.linear.unbalance_response import plane_entries, planes_of
+from rotorsim.linear.modes.campbell import Campbell, campbell
+from rotorsim.linear.modes.collocation import controlled
+from rotorsim.linear.modes.unbalance_response import plane_entries, planes_of
 from rotorsim.model.compiled import Model
 
 HIGHEST_SHARE = 1.5  # of the trip speed, up to which modes and responses are looked at

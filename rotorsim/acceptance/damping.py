@@ -11,12 +11,12 @@ from rotorsim.acceptance.conditions import Conditions, campbell_of
 from rotorsim.acceptance.criterion import API_617, API_684, MET, Criterion, Part, judged
 from rotorsim.acceptance.limits import HIGHEST_MODE
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.campbell import Campbell
-from rotorsim.linear.eigenmodes import RESONANT, modes
 from rotorsim.linear.linearisation import as_model, flat_names, linearise, speed_of
+from rotorsim.linear.modes.campbell import Campbell
+from rotorsim.linear.modes.eigenmodes import RESONANT, modes
+from rotorsim.linear.modes.unbalance_response import plane_entries
 from rotorsim.linear.stability import growing
 from rotorsim.linear.state_space import StateSpace
-from rotorsim.linear.unbalance_response import plane_entries
 from rotorsim.model.compiled import Model
 
 DAMPING_TITLE = "Damping of the modes"

@@ -7,8 +7,8 @@ import numpy as np
 from rotorsim.acceptance.conditions import Conditions
 from rotorsim.acceptance.criterion import API_684, ISO_4, MET, NOT_MET, Criterion, Part, judged
 from rotorsim.acceptance.limits import HIGHEST_MODE
-from rotorsim.linear.collocation import Collocation, collocation
-from rotorsim.linear.critical_speed_map import critical_speed_map
+from rotorsim.linear.modes.collocation import Collocation, collocation
+from rotorsim.linear.modes.critical_speed_map import critical_speed_map
 from rotorsim.model.compiled import Model
 
 MAP_TITLE, SHAPES_TITLE = "Undamped critical speeds over the support stiffness", "Mode shapes, probes and magnets"

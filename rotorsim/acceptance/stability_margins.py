@@ -8,8 +8,8 @@ import numpy as np
 
 from rotorsim.acceptance.conditions import Conditions
 from rotorsim.acceptance.criterion import ISO_3, Criterion, Part, judged
+from rotorsim.linear.control.margins import ZONES, Margins, margins
 from rotorsim.linear.linearisation import speed_of
-from rotorsim.linear.margins import ZONES, Margins, margins
 from rotorsim.model.compiled import Model
 from rotorsim.recordings.injection import InjectionRecording
 from rotorsim.signals.injection.measured_margins import measured_margins

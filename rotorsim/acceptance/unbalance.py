@@ -22,7 +22,7 @@ from rotorsim.acceptance.limits import ANALYSED, clearance_scale, residual_unbal
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.loop import linear_system
-from rotorsim.linear.unbalance_response import UnbalanceResponse, between, plane_entries, unbalance_response
+from rotorsim.linear.modes.unbalance_response import UnbalanceResponse, between, plane_entries, unbalance_response
 from rotorsim.model.compiled import Model
 from rotorsim.signals.orders.resonance import RESPONSIVE, Margin, Peak, peak_in, separation_margin
 

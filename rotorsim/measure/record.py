@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.eigenmodes import require_speed
 from rotorsim.linear.linearisation import as_model
+from rotorsim.linear.modes.eigenmodes import require_speed
 from rotorsim.model.compiled import Model
 from rotorsim.recordings.recording import ANGLE
 from rotorsim.settled.continuation import Settings, Setup, orbits

@@ -247,7 +247,7 @@ def _title(result: Result) -> str:
 
 
 def _modes(model: Model, settings: Data) -> tuple[Any, Data]:
-    from rotorsim.linear.eigenmodes import modes
+    from rotorsim.linear.modes.eigenmodes import modes
 
     found = modes(model, parameters=settings)
     rows = [
@@ -270,7 +270,7 @@ def _speeds(model: Model, count: int, lowest: float) -> np.ndarray:
 
 
 def _campbell(model: Model, settings: Data, progress: Callable[[float], None]) -> tuple[Any, Data]:
-    from rotorsim.linear.campbell import campbell
+    from rotorsim.linear.modes.campbell import campbell
 
     rest = {name: value for name, value in settings.items() if name != "speed"}
     found = campbell(model, speeds=_speeds(model, CAMPBELL_SPEEDS, 0.0), parameters=rest, progress=progress)

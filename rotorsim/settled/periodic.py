@@ -15,7 +15,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear import linearisation as linear
 from rotorsim.linear.drift import shift_of, shifts
-from rotorsim.linear.eigenmodes import checked_speeds, require_speed
+from rotorsim.linear.modes.eigenmodes import checked_speeds, require_speed
 from rotorsim.model.compiled import Model, model_for_runs
 from rotorsim.model.input_limits import input_limits, passed_limit
 from rotorsim.model.linearity import jacobian

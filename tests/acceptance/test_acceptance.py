@@ -19,7 +19,7 @@ from rotorsim.acceptance.damping import _twice
 from rotorsim.acceptance.displacement import displacement_zone
 from rotorsim.acceptance.limits import residual_unbalance, vibration_limit
 from rotorsim.acceptance.unbalance import rotor_mass
-from rotorsim.linear.campbell import Crossing
+from rotorsim.linear.modes.campbell import Crossing
 from rotorsim.signals.orders.extraction import tracked_recording
 from tests.acceptance.machines import jeffcott, stepped
 from tests.blocks.test_amb_hardware import rigid

@@ -8,7 +8,7 @@ from scipy.linalg import eigh
 
 from rotorsim.diagram.edit import swap
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.eigenmodes import modes
+from rotorsim.linear.modes.eigenmodes import modes
 from rotorsim.model.load import load
 from tests.blocks.evaluation import prepare
 from tests.reference.rotor import beam

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rotorsim import load
-from rotorsim.linear.margins import margins
+from rotorsim.linear.control.margins import margins
 from tests.cli.conftest import Run
 
 RECORD = ["record", "jeffcott", "--inject", "controller.displacement", "--amplitude", "1 um", "--out", "swept"]

@@ -10,7 +10,7 @@ from rotorsim.diagram.diff import diff
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.diagram.schema import json_schema
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.eigenmodes import modes
+from rotorsim.linear.modes.eigenmodes import modes
 from rotorsim.model.load import load
 from rotorsim.simulation.ensemble.many import simulate_many
 from tests.diagram.helpers import block, diagram, mistakes

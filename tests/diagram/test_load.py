@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rotorsim.diagram.diagram import Diagram, Endpoint
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.eigenmodes import modes
+from rotorsim.linear.modes.eigenmodes import modes
 from rotorsim.model.load import load
 from rotorsim.model.trace.order import block_traces
 from tests.diagram.helpers import block, diagram, mistakes, written

@@ -19,7 +19,7 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
 from rotorsim.fmi.functions import functions_of
 from rotorsim.fmi.runtime.slave import Fmu, Slave
-from rotorsim.linear.eigenmodes import modes
+from rotorsim.linear.modes.eigenmodes import modes
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
 from rotorsim.model.matrix_function import MatrixFunction

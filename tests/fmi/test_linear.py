@@ -17,7 +17,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.fmi.functions import functions_of
 from rotorsim.fmi.runtime.slave import describe_fmu
 from rotorsim.fmi.slopes import PROBED, Slopes
-from rotorsim.linear.eigenmodes import modes
+from rotorsim.linear.modes.eigenmodes import modes
 from rotorsim.model.compiled import compile_diagram, model_for_runs
 from rotorsim.model.load import load
 from rotorsim.model.matrix_function import MatrixFunction

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.design import closed_loop, design_state_feedback, plant_of, reduce_modes
+from rotorsim.linear.control.design import closed_loop, design_state_feedback, plant_of, reduce_modes
 from rotorsim.linear.state_space import StateSpace
 from tests.reference.handmade import jeffcott
 

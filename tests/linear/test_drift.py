@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import ortho_group
 
+from rotorsim.linear.control.root_locus import root_locus
 from rotorsim.linear.drift import drifting_entries, eigenvectors
-from rotorsim.linear.eigenmodes import modes
 from rotorsim.linear.linearisation import linearise
-from rotorsim.linear.root_locus import root_locus
+from rotorsim.linear.modes.eigenmodes import modes
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
 

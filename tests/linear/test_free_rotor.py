@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rotorsim import RotorsimError, load
-from rotorsim.linear.collocation import collocation
-from rotorsim.linear.critical_speed_map import critical_speed_map
-from rotorsim.linear.free_rotor import free_rotor
-from rotorsim.linear.unbalance_response import unbalance_response
+from rotorsim.linear.modes.collocation import collocation
+from rotorsim.linear.modes.critical_speed_map import critical_speed_map
+from rotorsim.linear.modes.free_rotor import free_rotor
+from rotorsim.linear.modes.unbalance_response import unbalance_response
 from tests.acceptance.machines import jeffcott, stepped, stiff_rotor, uniform
 
 # ROSS 2.3.0, matrices M, K, G of its rotor (Euler-Bernoulli, rotary inertia, gyroscopic), scipy.linalg.eig(K, M - i G)
@@ -68,7 +68,7 @@ def test_many_elements_are_projected_on_few_modes(monkeypatch: pytest.MonkeyPatc
     fine = load(uniform(40, 9, 9))
     k = [1e4, 1e6, 1e9]
     projected = critical_speed_map(fine, stiffness=k, count=4)
-    monkeypatch.setattr("rotorsim.linear.critical_speed_map.MOST_DOF", 10**6)
+    monkeypatch.setattr("rotorsim.linear.modes.critical_speed_map.MOST_DOF", 10**6)
     whole = critical_speed_map(fine, stiffness=k, count=4)
     assert len(free_rotor(fine).S) == 164
     assert projected.speeds == pytest.approx(whole.speeds, rel=1e-5)

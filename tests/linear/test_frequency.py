@@ -8,9 +8,9 @@ import pytest
 from scipy.linalg import lu_factor, lu_solve
 
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.frequency import frequency_response
+from rotorsim.linear.control.frequency import frequency_response
+from rotorsim.linear.control.margins import margins
 from rotorsim.linear.linearisation import linearise
-from rotorsim.linear.margins import margins
 from rotorsim.linear.state_space import MANY, frequencies_near
 from rotorsim.model.load import load
 from tests.reference.handmade import jeffcott

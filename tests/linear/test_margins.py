@@ -10,9 +10,9 @@ import pytest
 from scipy.optimize import brentq
 
 from rotorsim.errors import RotorsimError
+from rotorsim.linear.control.margins import margins, zone_of
 from rotorsim.linear.linear_model import LinearModel, common_period
 from rotorsim.linear.loop import Loop, injections
-from rotorsim.linear.margins import margins, zone_of
 from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.stability import growing_multipliers
 from rotorsim.linear.state_space import StateSpace

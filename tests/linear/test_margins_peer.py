@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotorsim.linear.margins import margins
+from rotorsim.linear.control.margins import margins
 from rotorsim.model.load import load
 
 control = pytest.importorskip("control")

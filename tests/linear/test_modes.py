@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.campbell import campbell
-from rotorsim.linear.eigenmodes import modes
+from rotorsim.linear.modes.campbell import campbell
+from rotorsim.linear.modes.eigenmodes import modes
 from tests.reference.handmade import gyroscopic, handmade, jeffcott
 
 

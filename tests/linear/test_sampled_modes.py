@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rotorsim import RotorsimError, campbell, load, modes, root_locus
-from rotorsim.linear.eigenmodes import Mode
+from rotorsim.linear.modes.eigenmodes import Mode
 from tests.acceptance.machines import jeffcott
 from tests.systems.shipped import DIAGRAMS
 

@@ -5,9 +5,9 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.campbell import Campbell, Crossing, campbell
-from rotorsim.linear.frequency import FrequencyResponse, frequency_response
-from rotorsim.linear.margins import margins
+from rotorsim.linear.control.frequency import FrequencyResponse, frequency_response
+from rotorsim.linear.control.margins import margins
+from rotorsim.linear.modes.campbell import Campbell, Crossing, campbell
 from rotorsim.model.load import load
 from rotorsim.report.figures.linear import campbell_figure, frequency_response_figure, periodic_figure
 from rotorsim.report.figures.margins import margins_figure

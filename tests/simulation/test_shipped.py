@@ -7,9 +7,9 @@ import pytest
 
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.design import closed_loop, design_state_feedback, plant_of
-from rotorsim.linear.eigenmodes import modes
-from rotorsim.linear.margins import margins
+from rotorsim.linear.control.design import closed_loop, design_state_feedback, plant_of
+from rotorsim.linear.control.margins import margins
+from rotorsim.linear.modes.eigenmodes import modes
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
 from rotorsim.settled.periodic import periodic

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import cont2discrete
 
 from benchmarks.engine.controllers import CONTROLLERS, judge, swapped
-from rotorsim.linear.margins import margins
+from rotorsim.linear.control.margins import margins
 from tests.reference.jeffcott import Jeffcott
 from tests.systems.shipped import document, load_document, shipped
 

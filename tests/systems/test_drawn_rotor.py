@@ -6,9 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rotorsim.linear.eigenmodes import modes
+from rotorsim.linear.control.margins import margins
 from rotorsim.linear.linearisation import as_model
-from rotorsim.linear.margins import margins
+from rotorsim.linear.modes.eigenmodes import modes
 from rotorsim.model.load import load
 from rotorsim.report.figures.shaft import shaft_of
 from rotorsim.settled.periodic import periodic

@@ -22,7 +22,7 @@ from rotorsim.cli.shared import (
 from rotorsim.report.text.table import rpm, table
 
 if TYPE_CHECKING:
-    from rotorsim.linear.campbell import Campbell
+    from rotorsim.linear.modes.campbell import Campbell
 
 
 @click.command("campbell")
@@ -45,7 +45,7 @@ def command(chosen: Chosen, speeds: str, orders: str, plot: str | None, as_json:
     """
     range_of_speeds, multiples = speeds_of(speeds), whole_numbers("--orders", orders, "for example --orders 1,2")
     loaded = chosen.open()
-    from rotorsim.linear.campbell import campbell
+    from rotorsim.linear.modes.campbell import campbell
 
     result = campbell(loaded, speeds=range_of_speeds, orders=multiples)
 

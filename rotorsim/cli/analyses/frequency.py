@@ -11,7 +11,7 @@ import numpy as np
 from rotorsim.cli.shared import Chosen, band_of, diagram_options, json_option, note, plot_option, save_plot, show, warn
 
 if TYPE_CHECKING:
-    from rotorsim.linear.frequency import FrequencyResponse
+    from rotorsim.linear.control.frequency import FrequencyResponse
 
 SHOWN_PEAKS = 6  # of an entry, the largest
 NO_RESPONSE = 1e-9  # of the largest: rounding
@@ -42,7 +42,7 @@ def command(
     """
     ends = band_of(span, "--range")
     loaded = chosen.open()
-    from rotorsim.linear.frequency import frequency_response
+    from rotorsim.linear.control.frequency import frequency_response
 
     found = frequency_response(loaded, source, signal, span=ends, open_loop=open_loop)
     for text in found.notes:

@@ -23,7 +23,7 @@ from rotorsim.cli.shared import (
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
-    from rotorsim.linear.margins import Margins
+    from rotorsim.linear.control.margins import Margins
     from rotorsim.signals.injection.measured_margins import MeasuredMargins
 
 
@@ -62,8 +62,8 @@ def command(
         return
     loaded = chosen.open()
     refuse_if(runs or beside, "--run and --beside need a recording, not a diagram", chosen.name)
+    from rotorsim.linear.control.margins import margins
     from rotorsim.linear.linearisation import speed_of
-    from rotorsim.linear.margins import margins
     from rotorsim.model.compiled import model_for_runs
     from rotorsim.report.text.margins import margins_data, margins_text
 
@@ -109,7 +109,7 @@ def _of_recording(chosen: Chosen, runs: Sequence[str], beside: str | None, plot:
 
 def _modelled(diagram: str, trust_blocks: bool, measured: MeasuredMargins) -> Margins:
     """Return the margins of a diagram at the speed and with the settings of what was measured."""
-    from rotorsim.linear.margins import margins
+    from rotorsim.linear.control.margins import margins
     from rotorsim.model.load import load
     from rotorsim.recordings.injection import port_of
 

@@ -12,8 +12,8 @@ from rotorsim.report.text.table import table
 
 if TYPE_CHECKING:
     from rotorsim.diagram.diagram import Diagram
-    from rotorsim.linear.eigenmodes import Modes
-    from rotorsim.linear.root_locus import RootLocus
+    from rotorsim.linear.control.root_locus import RootLocus
+    from rotorsim.linear.modes.eigenmodes import Modes
 
 ZERO_DAMPING = 1e-9  # damping ratio of an undamped mode, but for rounding
 HEADER = ("mode", "damped [Hz]", "undamped [Hz]", "damping ratio", "whirl")
@@ -41,7 +41,7 @@ def command(chosen: Chosen, vary: str | None, plot: str | None, as_json: bool) -
     if vary is not None:
         _over(loaded, vary, plot, as_json)
         return
-    from rotorsim.linear.eigenmodes import modes
+    from rotorsim.linear.modes.eigenmodes import modes
 
     result = modes(loaded)
     said = [*result.notes, *([] if result.stable else ["unstable: a pole has a positive real part"])]
@@ -58,7 +58,7 @@ def _over(loaded: Diagram, vary: str, plot: str | None, as_json: bool) -> None:
     """Say the poles over values of a parameter."""
     import numpy as np
 
-    from rotorsim.linear.root_locus import root_locus
+    from rotorsim.linear.control.root_locus import root_locus
 
     varied = variations([vary], loaded, None, 0)
     refuse_if(varied.drawn, f"--vary {vary}: a root locus needs values, not a distribution")

@@ -22,7 +22,7 @@ from rotorsim.cli.shared import (
 )
 
 if TYPE_CHECKING:
-    from rotorsim.linear.step_response import StepResponse
+    from rotorsim.linear.control.step_response import StepResponse
 ZERO_FINAL = 1e-6  # of the largest value: what integral action makes zero, but for rounding
 
 
@@ -47,7 +47,7 @@ def command(chosen: Chosen, source: str, signal: str, stop: str | None, plot: st
     end = None if stop is None else quantity(stop, "s", "--stop")
     refuse_if(end is not None and end <= 0, f"--stop {stop}: not a length", hint="for example --stop '0.1 s'")
     loaded = chosen.open()
-    from rotorsim.linear.step_response import step_response
+    from rotorsim.linear.control.step_response import step_response
 
     found = step_response(loaded, source, signal, stop=end)
     for text in found.notes:

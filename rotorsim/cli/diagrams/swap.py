@@ -151,7 +151,7 @@ def _from(folder: Path, file: str) -> str:
 
 def _designed(diagram: str, block: str, given: dict[str, Any], trust_blocks: bool) -> dict[str, Any]:
     """Design the controller from the linearised rest of the diagram; return its matrices as lists."""
-    from rotorsim.linear.design import design_state_feedback
+    from rotorsim.linear.control.design import design_state_feedback
     from rotorsim.model.load import load
 
     known_names(given, DESIGN_WEIGHTS, lambda name: f"the design has no weight '{name}'", block)

@@ -227,8 +227,8 @@ def _measured(
     parameters: Mapping[str, Any],
 ) -> tuple[Result, float | None]:
     """Return the result of one run, and its nominal speed [rad/s]."""
-    from rotorsim.linear.eigenmodes import require_speed
     from rotorsim.linear.linearisation import speed_of
+    from rotorsim.linear.modes.eigenmodes import require_speed
     from rotorsim.measure.record import measure, noisy
 
     diagram = model.diagram

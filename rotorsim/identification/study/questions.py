@@ -18,7 +18,7 @@ from rotorsim.identification.files import with_values
 from rotorsim.identification.study.plan import Case, Study
 from rotorsim.identification.study.runs import bench_of
 from rotorsim.identification.study.study import StudyResult, run_study, study_rows, with_document
-from rotorsim.linear.design import design_state_feedback
+from rotorsim.linear.control.design import design_state_feedback
 from rotorsim.model.load import load
 
 POWER = 0.9  # share of seeds in which the interval is to exclude zero

@@ -14,9 +14,9 @@ from rotorsim.acceptance.displacement import Displacement
 from rotorsim.acceptance.run_ups import PassedRunUp
 from rotorsim.acceptance.stability_margins import MarginsAt
 from rotorsim.acceptance.unbalance import UnbalanceCases
-from rotorsim.linear.campbell import Campbell
-from rotorsim.linear.collocation import FreeModes
-from rotorsim.linear.critical_speed_map import CriticalSpeedMap
+from rotorsim.linear.modes.campbell import Campbell
+from rotorsim.linear.modes.collocation import FreeModes
+from rotorsim.linear.modes.critical_speed_map import CriticalSpeedMap
 from rotorsim.report.figures import acceptance as figures
 from rotorsim.report.figures.linear import campbell_figure
 from rotorsim.report.figures.margins import margins_figure, measured_margins_figure

@@ -19,8 +19,8 @@ from rotorsim.report.text.table import rpm
 if TYPE_CHECKING:
     from rotorsim.acceptance.displacement import Displacement
     from rotorsim.acceptance.unbalance import UnbalanceCases
-    from rotorsim.linear.collocation import Collocation, FreeModes, ModeShape
-    from rotorsim.linear.critical_speed_map import CriticalSpeedMap
+    from rotorsim.linear.modes.collocation import Collocation, FreeModes, ModeShape
+    from rotorsim.linear.modes.critical_speed_map import CriticalSpeedMap
 
 MARKERS = ("o", "s", "^", "D", "v", "P")
 OPERATING = "#e9eef5"

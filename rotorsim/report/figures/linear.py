@@ -32,10 +32,10 @@ from rotorsim.report.style import (
 from rotorsim.report.text.table import rpm
 
 if TYPE_CHECKING:
-    from rotorsim.linear.campbell import Campbell
-    from rotorsim.linear.eigenmodes import Modes
-    from rotorsim.linear.frequency import FrequencyResponse
-    from rotorsim.linear.step_response import StepResponse
+    from rotorsim.linear.control.frequency import FrequencyResponse
+    from rotorsim.linear.control.step_response import StepResponse
+    from rotorsim.linear.modes.campbell import Campbell
+    from rotorsim.linear.modes.eigenmodes import Modes
     from rotorsim.measure.over_speed import HarmonicsOverSpeed
     from rotorsim.settled.result import Periodic
 

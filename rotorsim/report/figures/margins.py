@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from rotorsim.linear.control.margins import ZONES
 from rotorsim.linear.loop import open_loop_of
-from rotorsim.linear.margins import ZONES
 from rotorsim.report.style import BLUE, GREEN, GREY, INK, LINE_STYLES, ORANGE, PURPLE, RED, figure, phase_line, styled
 
 if TYPE_CHECKING:
-    from rotorsim.linear.margins import Margins
+    from rotorsim.linear.control.margins import Margins
     from rotorsim.signals.injection.measured_margins import MeasuredMargins
 
 SHOWN_BESIDE = 1.5  # times the frequencies that were measured: shown of a diagram

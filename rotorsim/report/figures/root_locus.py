@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from rotorsim.report.style import GREY, INK, RED, figure, styled
 
 if TYPE_CHECKING:
-    from rotorsim.linear.root_locus import RootLocus
+    from rotorsim.linear.control.root_locus import RootLocus
 
 HIGHEST_SHOWN = 2000.0  # Hz
 RATIOS = (0.05, 0.1, 0.2, 0.4, 0.7)  # damping ratios whose lines are drawn

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.linear.margins import STANDARD, Axis, Margins
+from rotorsim.linear.control.margins import STANDARD, Axis, Margins
 from rotorsim.report.text.table import rpm, table
 from rotorsim.signals.injection.measured_margins import MeasuredAxis, MeasuredMargins
 

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import stdtrit
 
+from rotorsim.linear.control.margins import Axis
 from rotorsim.linear.loop import open_loop_of
-from rotorsim.linear.margins import Axis
 from rotorsim.signals.injection.columns import Column
 
 CLEAR_OF_ZERO = 4.0  # standard deviations on both sides of a crossing: of thousands of frequencies noise makes three

@@ -11,8 +11,8 @@ import numpy as np
 
 from rotorsim._shown import Shown
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.linear.control.margins import STANDARD, ZONES, Axis, zone_of
 from rotorsim.linear.loop import open_loop_of
-from rotorsim.linear.margins import STANDARD, ZONES, Axis, zone_of
 from rotorsim.recordings.injection import InjectionRecording
 from rotorsim.signals.injection.columns import DOUBTFUL, Column, column, merged
 from rotorsim.signals.injection.consistency import apart, exchanged, scaled

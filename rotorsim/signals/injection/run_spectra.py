@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.margins import LARGEST_FREQUENCY
+from rotorsim.linear.control.margins import LARGEST_FREQUENCY
 from rotorsim.recordings.injection import AFTER, BEFORE, TEST, InjectionRecording
 from rotorsim.recordings.recording import ANGLE, Run
 from rotorsim.signals.injection.local_polynomial import SMOOTHED, Spectra

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rotorsim.errors import RotorsimError
-from rotorsim.linear.margins import zone_of
+from rotorsim.linear.control.margins import zone_of
 from rotorsim.recordings.injection import load_injection
 from rotorsim.signals.injection.measured_margins import MeasuredAxis, measured_margins
 from tests.signals.injection.machine import Machine, chirp, measured, stepped, write

@@ -10,9 +10,9 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Port
 from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.linear.eigenmodes import checked_speeds, require_speed
 from rotorsim.linear.linearisation import as_model, entry_names, flat_names, provenance
 from rotorsim.linear.loop import growing_poles, systems_at
+from rotorsim.linear.modes.eigenmodes import checked_speeds, require_speed
 from rotorsim.model.compiled import Model
 
 STABILITY_SPEEDS = 41  # at which poles are looked at for one that grows

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.linear.free_rotor import Bearing, FreeRotor, RotorMode, bearings_of, downstream, free_rotor
 from rotorsim.linear.linearisation import as_model, entry_names, flat_names
 from rotorsim.linear.loop import SENSOR, arriving
+from rotorsim.linear.modes.free_rotor import Bearing, FreeRotor, RotorMode, bearings_of, downstream, free_rotor
 from rotorsim.model.compiled import Model
 
 AT_A_NODE = 0.05  # of the largest displacement of a mode: a probe or a magnet that hardly sees or moves it

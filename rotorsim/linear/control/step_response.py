@@ -13,9 +13,9 @@ from scipy.linalg import expm
 from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.eigenmodes import RESONANT
 from rotorsim.linear.linearisation import entry_names, flat_names, given_units, provenance, units_of
 from rotorsim.linear.loop import disturbed, growing_poles, linear_system
+from rotorsim.linear.modes.eigenmodes import RESONANT
 from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model

@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.linear.free_rotor import FreeRotor, free_rotor, real_basis
 from rotorsim.linear.linearisation import as_model, entry_names, linearise, provenance
+from rotorsim.linear.modes.free_rotor import FreeRotor, free_rotor, real_basis
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model
 

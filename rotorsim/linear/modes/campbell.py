@@ -13,9 +13,9 @@ from scipy.optimize import brentq, linear_sum_assignment
 from rotorsim._shown import Shown, xarray_module
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.linear.eigen import Eigen, eigen
-from rotorsim.linear.eigenmodes import RESONANT, checked_speeds, require_speed, shape_names, whirl
 from rotorsim.linear.linearisation import as_model
 from rotorsim.linear.loop import growing_poles, systems_at
+from rotorsim.linear.modes.eigenmodes import RESONANT, checked_speeds, require_speed, shape_names, whirl
 from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model

@@ -13,9 +13,9 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.linear.drift import eigenvectors
 from rotorsim.linear.eigen import eigen, unfolded
-from rotorsim.linear.eigenmodes import RESONANT, shape_names
 from rotorsim.linear.linearisation import as_model, provenance
 from rotorsim.linear.loop import growing_poles, linear_system
+from rotorsim.linear.modes.eigenmodes import RESONANT, shape_names
 from rotorsim.linear.sampled_data import SampledData
 from rotorsim.linear.state_space import StateSpace
 from rotorsim.model.compiled import Model

@@ -1,0 +1,1 @@
+"""Responses of loops: margins, frequency and step response, root loci, controller design."""
