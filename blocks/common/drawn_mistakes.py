@@ -109,13 +109,13 @@ def _walls(prefix: str, what: str, count: int, given: Given) -> Iterator[Mistake
 
 def _materials(given: Given) -> Iterator[Mistake]:
     """Yield a modulus or a density of the shaft, a sleeve or a disc that no solid has: a unit that was left out."""
-    for name in ("young_modulus", "density", "sleeve_density", "drawn_disc_density"):
+    for name in ("young_modulus", "sleeve_young_modulus", "density", "sleeve_density", "drawn_disc_density"):
         values = given.get(name)
         for k, one in enumerate(() if values is None else full(values, 1)):
             at = (k,) if values is not None and values.ndim else ()
-            if name == "young_modulus" and 0 < one < SOFTEST:
+            if name.endswith("young_modulus") and 0 < one < SOFTEST:
                 yield name, at, f"{one:g} N/m^2 is softer than any shaft", 'give its unit: "210 GPa"'
-            elif name != "young_modulus" and (MASSLESS < one < LIGHTEST or one > HEAVIEST):
+            elif name.endswith("density") and (MASSLESS < one < LIGHTEST or one > HEAVIEST):
                 yield name, at, f"{one:g} kg/m^3 is the density of no solid", 'give its unit: "7.85 g/cm^3"'
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from rotorsim.acceptance.conditions import Conditions
 from rotorsim.acceptance.criterion import ISO_2, MET, RUNNING_TEST, UNSURE, Criterion, Part, judged, not_judged
 from rotorsim.acceptance.limits import vibration_limit
-from rotorsim.acceptance.probes import faults_of
+from rotorsim.acceptance.probes import examined
 from rotorsim.errors import RotorsimError
 from rotorsim.linear.loop import linear_system
 from rotorsim.model.compiled import Model
@@ -134,7 +134,7 @@ def measured_displacement(recording: Recording, given: Conditions) -> Part:
 
 def _measured(title: str, recording: Recording, given: Conditions) -> Part:
     notes: list[str] = []
-    faults = faults_of(recording)
+    _, faults = examined(recording)
     runs = list(_at_operating_speed(recording, given, notes))
     places = _places(recording)
     if not places:

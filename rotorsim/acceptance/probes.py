@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.measure.checks import AT_FAULT, UNUSABLE, check_signals
-from rotorsim.measure.order_vectors import check_vectors
+from rotorsim.measure.order_vectors import usable
 from rotorsim.recordings.orders import OrderChannel, OrderRecording
 from rotorsim.recordings.recording import Channel, Recording
 from rotorsim.units import parse_unit
@@ -14,20 +13,18 @@ from rotorsim.units import parse_unit
 DISPLACEMENT = "displacement"
 
 
-def faults_of(recording: Recording | OrderRecording) -> dict[tuple[str, str], str]:
-    """Return run and column of each displacement that cannot be as it was recorded, and why, in words.
+def examined(recording: Recording | OrderRecording) -> tuple[Recording | OrderRecording, dict[tuple[str, str], str]]:
+    """Return a recording without probes that show nothing, and run and column of displacements that cannot be so.
 
+    The latter with what is wrong, in words, for those that were left out, too.
     Raises RotorsimError where speeds or sizes are not to be believed: lost pulses, for example.
     """
-    problems = check_signals(recording) if isinstance(recording, Recording) else check_vectors(recording)
-    refused = [one for one in problems if one.code in UNUSABLE and one.severity == "error"]
-    if refused:
-        raise RotorsimError(*refused, exit_code=1)
-    said = {one.subject: one.what for one in problems if one.code in AT_FAULT}
+    sound, problems = usable(recording, moving=False)
+    said = {one.subject: one.what for one in problems}
     channels: Mapping[str, Channel] = recording.channels
     columns = [key for key, one in channels.items() if one.signal.endswith(DISPLACEMENT) and _is_judged(one)]
     every = {(run.id, column): f"{run.id}: column {column}" for run in recording.runs for column in columns}
-    return {key: said[subject] for key, subject in every.items() if subject in said}
+    return sound, {key: said[subject] for key, subject in every.items() if subject in said}
 
 
 def _is_judged(channel: Channel) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from rotorsim.acceptance.conditions import Conditions
 from rotorsim.acceptance.criterion import API_684, MET, RUNNING_TEST, UNSURE, Criterion, Part, judged
 from rotorsim.acceptance.limits import vibration_limit
-from rotorsim.acceptance.probes import faults_of
+from rotorsim.acceptance.probes import examined
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.orders.critical_speeds import CriticalSpeed, CriticalSpeeds, critical_speeds
@@ -43,7 +43,7 @@ def measured_critical_speeds(recording: Recording | OrderRecording, given: Condi
 
 def _passed(title: str, recording: Recording | OrderRecording, given: Conditions) -> Part:
     notes: list[str] = []
-    faults = faults_of(recording)
+    recording, faults = examined(recording)
     if isinstance(recording, Recording):
         recording = tracked_recording(recording, (1,))[0]
         notes += [f"{one.subject}: {one.what}" for one in recording.warnings]

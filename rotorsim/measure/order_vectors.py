@@ -103,11 +103,12 @@ def check_vectors(recording: OrderRecording) -> list[Problem]:
 
 
 def usable(
-    recording: Recording | OrderRecording, runs: Sequence[str] = ()
+    recording: Recording | OrderRecording, runs: Sequence[str] = (), *, moving: bool = True
 ) -> tuple[Recording | OrderRecording, list[Problem]]:
-    """Return a recording without probes that show nothing, and what is wrong with others; runs: those that count.
+    """Return a recording without probes that show nothing, and what is wrong with them and others.
 
-    Raises RotorsimError, with exit code 1, where speeds or sizes are not to be believed, or nothing moves.
+    runs: those that count. Raises RotorsimError, with exit code 1, where speeds or sizes are not to be believed, and
+    where nothing moves; moving False: all are kept then.
     """
     counted = [run.id for run in recording.runs if run.id in runs] or [run.id for run in recording.runs]
     if isinstance(recording, Recording):
@@ -121,7 +122,9 @@ def usable(
     probes = [column for column, one in recording.channels.items() if one.signal not in (ANGLE, TACHO)]
     dead = {column for column in probes if all(f"{id}: column {column}" in still for id in counted)}
     if len(dead) == len(probes):
-        raise RotorsimError(Problem("no channel shows a motion", recording.name), exit_code=1)
+        if moving:
+            raise RotorsimError(Problem("no channel shows a motion", recording.name), exit_code=1)
+        dead = set()
     said = [one for one in wrong if one.code in AT_FAULT]
     if isinstance(recording, Recording):
         return replace(recording, channels={k: v for k, v in recording.channels.items() if k not in dead}), said

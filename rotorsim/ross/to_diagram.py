@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,8 @@ MOST_SHOWN = 50
 STOP = 0.5  # s
 RECORDED = 1e-4  # s between the samples that are kept, at least
 STABLE_REACH = 2.0  # step times largest |eigenvalue| of A: RK4 is stable to 2.8 along the imaginary axis
-SOFTEST = 1e8  # N/m^2, of shafts; as of rotor_drawing
+SOFTEST = 1e8  # N/m^2, of shafts; this and the next as of block rotor_drawing
+MASSLESS, LIGHTEST, HEAVIEST = 0.1, 100.0, 3e4  # kg/m^3
 RELATIVE = 1e-9  # of the length: sleeves as long as the element they are on
 
 
@@ -71,6 +72,16 @@ def _solver(diagram: Diagram) -> dict[str, Any]:
     step = max(value for first in (1, 2, 5) if (value := float(f"{first}e{decade}")) <= limit)
     every = round(RECORDED / step)
     return {"method": "rk4", "step": step, "stop": STOP} | ({"record_every": every} if every > 1 else {})
+
+
+def _no_material(shaft: ShaftElement) -> Iterator[tuple[str, str]]:
+    """Yield what no material of a shaft has, and hints."""
+    if shaft.density == 0.0:
+        yield "rho is 0: the shaft has no mass here", f"give a small density, {MASSLESS:g} kg/m^3 at most"
+    elif MASSLESS < shaft.density < LIGHTEST or shaft.density > HEAVIEST:
+        yield f"rho is {shaft.density:g} kg/m^3, the density of no solid", "ROSS saves SI units: 7850 is 7.85 g/cm^3"
+    if shaft.modulus < SOFTEST:
+        yield f"E is {shaft.modulus:g} N/m^2, softer than any shaft", "ROSS saves SI units: 211e9 is 211 GPa"
 
 
 def _same(values: Sequence[Any]) -> Any:
@@ -148,12 +159,7 @@ class _Writer:
                     what = f"L is {one.length:g}, that of {shaft.table.name} at the same node {shaft.length:g}"
                     hint = "elements at one node are layers of one length"
                     self.problems.error(what, one.table.name, one.table.locate("L"), hint)
-            if shaft.density == 0.0:
-                what = "rho is 0: the shaft has no mass here"
-                self.problems.error(what, shaft.table.name, shaft.table.locate("material"), "give a small density")
-            if shaft.modulus < SOFTEST:
-                what = f"E is {shaft.modulus:g} N/m^2, softer than any shaft"
-                hint = "ROSS saves SI units: 211e9 is 211 GPa"
+            for what, hint in _no_material(shaft):
                 self.problems.error(what, shaft.table.name, shaft.table.locate("material"), hint)
             if n != chain[0].n + len(chain) - 1:
                 what = f"begins at node {n}, and no element ends there"

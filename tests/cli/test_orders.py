@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorsim import load_orders
+from rotorsim import accept, load_orders
 from rotorsim.cli.recordings.orders import PHASE_WORDS
 from rotorsim.recordings.order_writing import save_orders
 from rotorsim.recordings.orders import PHASES, OrderRecording
@@ -102,6 +102,10 @@ def test_a_probe_that_shows_nothing_in_a_table_is_left_out(run: Run, table: Path
     assert f"up: column {first}: constant signal: all 178 vectors are the same\n" in found.stderr
     assert "1X of rotor.displacement[1]" not in found.stdout
     assert "constant signal: all 178 vectors are the same" in run("check", str(folder)).output
+    [part] = accept(None, load_orders(folder), operating=(377.0, 440.0)).parts
+    [passed] = part.results
+    assert first not in passed.channels
+    assert np.isnan(passed.found.found[0].whirl)
 
 
 @pytest.mark.slow

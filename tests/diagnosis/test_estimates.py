@@ -125,7 +125,7 @@ def test_noise_is_measured_again_where_a_fit_leaves_another_by_a_fifth(monkeypat
     monkeypatch.setattr(
         waveform, "unpredicted", lambda *_: SimpleNamespace(variance={"y": now}, rows=7, left=np.array([1.0, 2.0]))
     )
-    found = Judged(variance={"y": 1.0}, least=1, steps_of_laws={}, old=frozenset()).recalibrated(
+    found = Judged(variance={"y": 1.0}, least=1, steps_of_laws={}, given={}).recalibrated(
         Fit({"blocks": {}}, misfit=49.9, rows=100)
     )
     assert (found is not None) == replaced
@@ -142,9 +142,10 @@ def test_steps_that_a_law_needs_are_those_of_diagrams_that_have_it():
         "blocks": {**plain["blocks"], "rate_limit": rate_limit},
         "identify": {**plain["identify"], "rate_limit.rising": {}},
     }
-    evidence = Judged(least=2, steps_of_laws={}, old=frozenset({"pump.gain"}))
+    evidence = Judged(least=2, steps_of_laws={}, given={"pump": "gain"}, smoothed=frozenset({"rate_limiter", "play"}))
     of_law = evidence.in_steps(limited, 8)
     assert (of_law.steps(limited), of_law.steps(plain), of_law.least) == (8, 2, 2)
+    assert of_law.steps({"blocks": {"backlash": {"type": "play"}}}) == 8  # a rival is judged by the same steps
     everywhere = evidence.in_steps(plain, 4)
     assert (everywhere.steps(limited), everywhere.steps(plain)) == (4, 4)
 

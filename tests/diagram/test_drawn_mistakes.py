@@ -287,12 +287,14 @@ def test_discs_that_share_material_or_hang_in_the_air_are_mistakes() -> None:
 def test_a_modulus_and_a_density_without_their_units_are_mistakes() -> None:
     """FAULT: a shaft of 210 N/m^2 had natural frequencies, and no word was said. Massless shafts and tungsten are."""
     units = {"young_modulus": [210.0, 2.1e11, 2.1e11], "density": 7.85, "sleeve_density": 7.85e6}
+    units["sleeve_young_modulus"] = 210.0
     sleeve = {"sleeve_begins": ["150 mm"], "sleeve_lengths": ["50 mm"], "sleeve_outer_diameter": "60 mm"}
     bore = {"sleeve_inner_diameter": "50 mm", "sleeve_stiffness_share": 0.0}
     assert written(drawn(**units, **sleeve, **bore)) == [
         'rotor.young_modulus: 210 N/m^2 is softer than any shaft | give its unit: "210 GPa"',
         'rotor.density: 7.85 kg/m^3 is the density of no solid | give its unit: "7.85 g/cm^3"',
         'rotor.sleeve_density: 7.85e+06 kg/m^3 is the density of no solid | give its unit: "7.85 g/cm^3"',
+        'rotor.sleeve_young_modulus: 210 N/m^2 is softer than any shaft | give its unit: "210 GPa"',
     ]
     for modulus, density in (("210 GPa", "7.85 g/cm^3"), (1e8, 100.0), (2.1e11, 0.1), (4e11, 3e4)):
         assert load(drawn(young_modulus=modulus, density=density))

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rotorsim.blocks.common import drawn_mistakes
 
 from rotorsim.errors import RotorsimError
+from rotorsim.ross import to_diagram
 from rotorsim.ross.to_diagram import import_ross
 from tests.ross.conftest import Import, Refusal
 from tests.ross.rotors import DISC, PLAIN, STEEL, bearing, disc, point, shaft, stepped, tables, toml
@@ -218,6 +220,12 @@ def test_all_mistakes_come_at_once_each_where_it_is(refusal: Refusal) -> None:
             "a mass beside the shaft must be above 0",
         ),
         (
+            stepped(material={**STEEL, "rho": 7.81}),
+            ("ShaftElement_Shaft Element 0", ""),
+            "rho is 7.81 kg/m^3, the density of no solid",
+            "ROSS saves SI units: 7850 is 7.85 g/cm^3",
+        ),
+        (
             stepped(material={**STEEL, "E": 211.0, "G_s": 81.2}),
             ("ShaftElement_Shaft Element 0", ""),
             "E is 211 N/m^2, softer than any shaft",
@@ -227,7 +235,7 @@ def test_all_mistakes_come_at_once_each_where_it_is(refusal: Refusal) -> None:
             stepped(material={**STEEL, "rho": 0.0}),
             ("ShaftElement_Shaft Element 0", ""),
             "rho is 0: the shaft has no mass here",
-            "give a small density",
+            "give a small density, 0.1 kg/m^3 at most",
         ),
     ],
 )
@@ -286,3 +294,8 @@ def test_wrong_values_anywhere_end_in_words(value: Any, read: Import) -> None:
             ),
             "rotor.json",
         )
+
+
+def test_materials_are_judged_as_those_of_drawings() -> None:
+    for name in ("SOFTEST", "MASSLESS", "LIGHTEST", "HEAVIEST"):
+        assert getattr(to_diagram, name) == getattr(drawn_mistakes, name)

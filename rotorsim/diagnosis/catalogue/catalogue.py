@@ -10,6 +10,7 @@ from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.insertion import Insertion
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.registry import Registry
+from rotorsim.fault import Sampled
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,15 @@ class Catalogue:
     def only(self, physics: Collection[str]) -> Catalogue:
         """Return the catalogue with these physics only."""
         return replace(self, physics=frozenset(physics))
+
+    @property
+    def smoothed(self) -> frozenset[str]:
+        """The types of blocks whose laws are approximated by times that follow the rate of samples."""
+        return frozenset(
+            name
+            for name, block in self.registry.all_types().items()
+            if any(isinstance(value, Sampled) for fault in block.faults for value in fault.fixed.values())
+        )
 
     def candidates(self, diagram: Diagram, recorded: Iterable[str]) -> list[Insertion]:
         """Return every fault of the catalogue at every place of a diagram where its ports fit."""

@@ -164,15 +164,15 @@ def is_noise(fit: Fit) -> bool:
     return is_adequate(fit) and float(chi2.sf(fit.line_misfit, max(fit.line_rows, 1))) >= CRITERIA.not_explained
 
 
-def times_astray(item: Free, value: float, sizes: Sequence[float]) -> float:
-    """Return how many times the sizes that were stated or known a parameter is, where that is `astray`; else 0.
+def is_astray(item: Free, value: float, sizes: Sequence[float]) -> bool:
+    """Return whether a parameter is `astray` times the sizes that were stated or known.
 
     What is in series is rigid where it is large, which is no effect: it goes astray where it is small.
     """
-    size, least = max(sizes, default=0.0), min((size for size in sizes if size > 0), default=0.0)
+    known = [size for size in sizes if size > 0]
     if item.series:
-        return abs(value) / least if CRITERIA.astray * abs(value) < least else 0.0
-    return abs(value) / size if abs(value) > CRITERIA.astray * size > 0 else 0.0
+        return bool(known) and CRITERIA.astray * abs(value) < min(known)
+    return bool(known) and abs(value) > CRITERIA.astray * max(known)
 
 
 def fit_to_plain(fit: Fit) -> dict[str, Any]:

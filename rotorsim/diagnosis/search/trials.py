@@ -13,7 +13,7 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import LINES, Insertion, Law
 from rotorsim.diagnosis.catalogue.values import structure_of, values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence, Promise
-from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate, times_astray
+from rotorsim.diagnosis.evidence.fit import DEFERRED, Effort, Fit, is_adequate, is_astray
 from rotorsim.diagnosis.evidence.missing_signal import PlaceClass, likely_spots
 from rotorsim.diagnosis.search.candidates import Candidate, Job, Round, simplest_first
 from rotorsim.diagnosis.search.promises import (
@@ -241,8 +241,9 @@ class Trials:
         for item, value in zip(fit.free, fit.theta, strict=True):
             sizes = [item.scale, abs(self.nominal.get(item.name, 0.0)), abs(known.get(item.name, 0.0))]
             sized = item.name in self.nominal and item.name not in self.unsized and item.unit != ANGLE_UNIT
-            if sized and (times := times_astray(item, value, sizes)):
-                found.append(f"{item.name} {times:.2g} times as large")
+            if sized and is_astray(item, value, sizes):
+                size = min(size for size in sizes if size > 0) if item.series else max(sizes)
+                found.append(f"{item.name} {abs(value) / size:.2g} times as large")
         return " and ".join(found)
 
     def _begun(

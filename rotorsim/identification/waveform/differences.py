@@ -10,6 +10,7 @@ from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearc
 
 DIFFERENCE = 1e-3  # of an unknown: what it changes is far above what a level at zero jitters, and its square far below
 AS_TOLD = 0.01  # of the change that a Jacobian tells: it falls as the square of DIFFERENCE where laws are smooth
+SHOWN = 1e-4  # of the change by the strongest column, which one must reach to be judged with it: far above rounding
 
 
 def by_differences(search: OutputErrorSearch, here: Evaluation) -> Evaluation:
@@ -17,12 +18,21 @@ def by_differences(search: OutputErrorSearch, here: Evaluation) -> Evaluation:
 
     Over `DIFFERENCE` of each unknown, or less where that changes more than the residual. A level that stays at zero
     crosses it in every step, each time with the derivative of the root there: exact sensitivities of the steps grow
-    beyond all bounds, and say that the parameters are known to the last digit.
+    beyond all bounds, and say that the parameters are known to the last digit. Exact are those that are right together,
+    of unknowns that show; the others are replaced one by one.
     """
-    if _is_slope(search, here):
+    size = DIFFERENCE * np.abs(here.unknowns)
+    change = np.sqrt(np.maximum(np.diag(here.information), 0.0)) * size
+    size = size / np.maximum(change / np.sqrt(max(here.cost, 1e-300)), 1.0)
+    change = np.minimum(change, np.sqrt(here.cost))
+    shown = change >= SHOWN * change.max(initial=0.0)
+    equal = np.where(shown, size * change[shown].min(initial=np.inf) / np.where(shown, change, 1.0), 0.0)
+    right = shown & (here.unknowns != 0) if _is_slope(search, here, equal) else np.zeros(len(size), bool)
+    wrong = np.flatnonzero((here.unknowns != 0) & ~right)
+    if not len(wrong):
         return here
     jacobians = [[part.copy() for part in own] for own in here.jacobians]
-    for j in np.flatnonzero(here.unknowns).tolist():
+    for j in wrong.tolist():
         move = np.zeros(len(here.unknowns))
         move[j] = DIFFERENCE * abs(here.unknowns[j])
         if up := _moved_by(search, here, move):
@@ -35,14 +45,11 @@ def by_differences(search: OutputErrorSearch, here: Evaluation) -> Evaluation:
     return search.summed(here.unknowns, here.sub, here.residuals, jacobians)
 
 
-def _is_slope(search: OutputErrorSearch, here: Evaluation) -> bool:
-    """Return whether the residual changes as its exact Jacobian says where all unknowns move at once.
+def _is_slope(search: OutputErrorSearch, here: Evaluation, size: np.ndarray) -> bool:
+    """Return whether the residual changes as its exact Jacobian says where unknowns move together.
 
-    Each by as much as it would for its difference, up and down in turn, to AS_TOLD of the change.
+    Each by a size that makes as much of a change as the others do, up and down in turn, to AS_TOLD of the change.
     """
-    size = DIFFERENCE * np.abs(here.unknowns)
-    change = np.sqrt(np.maximum(np.diag(here.information), 0.0)) * size
-    size = size / np.maximum(change / np.sqrt(max(here.cost, 1e-300)), 1.0)
     move = size * np.where(np.arange(len(size)) % 2, -1.0, 1.0)
     up, down = _moved_by(search, here, move), _moved_by(search, here, -move)
     if not (up and down):

@@ -79,7 +79,8 @@ class OutputErrorSearch:
 
     weights: of the squares of residuals by (subsystem, output). least: steps between samples, at least. hold: "theta"
     or "starts" are not searched. unused: samples of each run that count nothing. stepped: whether linear subsystems are
-    simulated in steps, too. continued: whether laws go on beyond where they are defined.
+    simulated in steps, too. continued: whether laws go on beyond where they are defined. within: limits of some free
+    parameters, narrower than their bounds.
     """
 
     systems: tuple[Simulation, ...]
@@ -90,6 +91,7 @@ class OutputErrorSearch:
     unused: Sequence[slice] = ()
     stepped: bool = False
     continued: bool = False
+    within: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def free(self) -> tuple[Free, ...]:
@@ -128,7 +130,8 @@ class OutputErrorSearch:
         """The lower and upper bounds of the unknowns, (2, q); those of starts are infinite."""
         size = self.m + len(self.runs) * sum(system.equations.n for system in self.systems)
         bounds = np.repeat([[-np.inf], [np.inf]], size, axis=1)
-        bounds[:, : len(self.free)] = np.array([(item.low, item.high) for item in self.free]).reshape(-1, 2).T
+        limits = [self.within.get(item.name, (item.low, item.high)) for item in self.free]
+        bounds[:, : len(self.free)] = np.array(limits).reshape(-1, 2).T
         return bounds
 
     def at_bound(self, unknowns: np.ndarray) -> np.ndarray:

@@ -331,7 +331,6 @@ def _open(fit: Fit) -> set[str]:
 
 
 @lru_cache(maxsize=2)  # of each fit it is asked for the noise, for the verdict and for the report
-@lru_cache(maxsize=2)
 def _beside(evidence: WaveformEvidence, fit: Fit) -> tuple[OutputErrorSearch, Evaluation] | None:
     """Return the search and the evaluation of a fit, whose weights follow what it leaves; None if it diverges."""
     search = evidence.search(values_in(fit.document, fit.values))

@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import LONGEST, SAMPLED
-from rotorsim.diagnosis.evidence.fit import FAILURES, Effort, Fit, Starts
+from rotorsim.diagnosis.evidence.fit import FAILURES, Effort, Fit, Starts, failed_fit
 from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.errors import Problem, RotorsimError
@@ -43,7 +43,7 @@ FEW_STEPS = 3  # on all samples, until it is known which fits are worth more
 PROMISED_PARTS = 2  # of long runs what laws promise is judged on every second part
 FOLLOWED = 3  # starts of a law on parts of such runs: those that promise most
 REFINED_EVALUATIONS = 4  # for one that is asked for: they are cheap
-KEPT_MOTIONS = 32  # motions of documents beside single runs that are kept
+KEPT_MOTIONS = 4  # documents whose motions are kept: as given and repaired, of two measures of the noise
 DIVERGES, SENSITIVITIES_DIVERGE = "the simulation diverges", "the sensitivities of the simulation diverge"
 
 
@@ -54,11 +54,12 @@ class WaveformFits(SampledRuns):
     sizes: largest magnitude of every signal, recorded or simulated. variance: what counts as noise. rows:
     independent samples. stretches: into which the runs are divided. allowed (B,): what an adequate model may leave
     of each when it is left out. by_force: whether noise is what a diagram with a flexible force leaves. least:
-    steps between samples; steps_of_laws: of diagrams with blocks of a type that needs more. starts: states at the
-    first samples. old: names of the parameters that were free at first. held: hold-out runs. parts: of long runs,
-    at all speeds, on which starts are chosen and followed; part_starts: their states at first samples. near,
-    stated: parameters of the diagram that leave least, and as it was given. beginning: of the runs, as many samples
-    of all on which starts are chosen and followed where there are no parts.
+    steps between samples; steps_of_laws: of diagrams with blocks of a type that needs more. given: types of the
+    blocks of the diagram as given; smoothed: types whose laws are approximated. starts: states at the first
+    samples. old: names of the parameters that were free at first. held: hold-out runs. parts: of long runs, at all
+    speeds, on which starts are chosen and followed; part_starts: their states at first samples. near, stated:
+    parameters of the diagram that leave least, and as it was given. beginning: of the runs, as many samples of all
+    on which starts are chosen and followed where there are no parts.
     """
 
     variance: Variance
@@ -77,6 +78,8 @@ class WaveformFits(SampledRuns):
     stated: Mapping[str, float] = field(default_factory=dict)
     beginning: int = SHORT
     steps_of_laws: Mapping[str, int] = field(default_factory=dict)
+    given: Mapping[str, str] = field(default_factory=dict)
+    smoothed: frozenset[str] = frozenset()
 
     def largest(self) -> Mapping[str, float]:
         """Return the largest magnitude of signals by flat name, the length of the longest run, and its longest step."""
@@ -109,22 +112,33 @@ class WaveformFits(SampledRuns):
         return max(self.least, *(steps for law, steps in self.steps_of_laws.items() if law in types), 1)
 
     def in_steps(self, document: Mapping[str, Any], steps: int) -> Self:
-        """Return these in which a document has so many steps: its laws, or, where there are none, all documents."""
-        entered = {name.rpartition(".")[0] for name in document.get("identify", {}) if name not in self.old}
-        laws = {block["type"] for name, block in document["blocks"].items() if name in entered}
+        """Return these in which a document has so many steps: its laws, or, where there are none, all documents.
+
+        With one of the laws that are approximated all of these, so that none is judged by coarser steps than a rival.
+        """
+        laws = {block["type"] for name, block in document["blocks"].items() if block["type"] != self.given.get(name)}
         if not laws:
             return replace(self, least=steps)
+        laws |= self.smoothed if laws & self.smoothed else set()
         return replace(self, steps_of_laws={**self.steps_of_laws, **dict.fromkeys(laws, steps)})
 
     def beside(self, document: Mapping[str, Any], runs: Sequence[SampledRun]) -> tuple[OutputErrorSearch, Evaluation]:
         """Return a document as it is beside runs, from the starts that leave least. Raises RotorsimError."""
-        found = [_beside(self, json.dumps(document), run) for run in runs]
-        search = self.simulation(document, runs)
-        m = search.m
+        motions = _motions(self, json.dumps(document, default=lambda value: value.tolist()))
+        found = [motions.beside(run) for run in runs]
+        m = motions.search.m
         unknowns = np.concatenate([found[0].unknowns[:m], *(one.unknowns[m:] for one in found)])
         residuals = [[one.residuals[0][0] for one in found if one.residuals]]
         steps, cost = max(one.sub for one in found), sum(one.cost for one in found)
-        return search, Evaluation(unknowns, steps, cost, residuals)
+        return replace(motions.search, runs=runs), Evaluation(unknowns, steps, cost, residuals)
+
+    def within(self, document: Mapping[str, Any], limits: Mapping[str, tuple[float, float]]) -> Fit:
+        """Return the fit of a document from what it states, some parameters within limits of their own."""
+        try:
+            search = replace(self.search(document), within=limits)
+            return self._summary(document, search, search.minimise(self.first_point(search)))
+        except FAILURES as error:
+            return failed_fit(document, error)
 
     def simulated(self, document: Mapping[str, Any], runs: Sequence[SampledRun]) -> list[np.ndarray] | None:
         """Return the outputs of a document as it is in every run, (N, c), from the best starts; None if it diverges."""
@@ -297,11 +311,24 @@ class WaveformFits(SampledRuns):
         )
 
 
+@dataclass(frozen=True, eq=False)
+class _Motions:
+    """A document as it is beside single runs: scores, remarks and figures ask for the same."""
+
+    search: OutputErrorSearch
+    known: dict[SampledRun, Evaluation] = field(default_factory=dict)
+
+    def beside(self, run: SampledRun) -> Evaluation:
+        """Return the motion beside a run, from the start that leaves least."""
+        if run not in self.known:
+            search = replace(self.search, runs=[run])
+            self.known[run] = replace(search.minimise(search.first()), jacobians=())
+        return self.known[run]
+
+
 @lru_cache(maxsize=KEPT_MOTIONS)
-def _beside(fits: WaveformFits, document: str, run: SampledRun) -> Evaluation:
-    """Return a document beside a run, from the start that leaves least; scores, remarks and figures ask for it."""
-    search = fits.simulation(json.loads(document), [run])
-    return replace(search.minimise(search.first()), jacobians=())
+def _motions(fits: WaveformFits, document: str) -> _Motions:
+    return _Motions(fits.simulation(json.loads(document), []))
 
 
 def _cheaper(search: OutputErrorSearch, point: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.base_fit import base_fit
-from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, times_astray
+from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_astray
 from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.diagnosis.evidence.waveform.turning import TurningEvidence
@@ -45,36 +45,38 @@ def open_waveforms(
         diagram = with_reaction(diagram)
     evidence = waveform_evidence(diagram, recording, hold_out, trust_blocks=catalogue.trust)
     base, refined = base_fit(diagram, evidence)
-    base = nearer(evidence, base)
+    given_types = {name: block["type"] for name, block in base.document["blocks"].items()}
+    evidence = replace(evidence, given=given_types, smoothed=catalogue.smoothed)
+    base, held = nearer(evidence, base)
     evidence = evidence.where_it_shows(base)
     notes = notes_of([*evidence.runs, *evidence.held])
     notes += [*unused_channels(diagram, recording), *diagram.warnings[len(given.warnings) :]]
-    notes += [Problem(note, severity="warning") for note in refined]
+    notes += [Problem(note, severity="warning") for note in (*refined, *held)]
     return Opened(evidence, base, base, evidence, catalogue, held_out=bool(evidence.held), warnings=[*warnings, *notes])
 
 
-def nearer(evidence: WaveformEvidence, base: Fit) -> Fit:
-    """Return the fit of a diagram as given; within `near_stated` times what was stated, where it went astray in vain.
+def nearer(evidence: WaveformEvidence, base: Fit) -> tuple[Fit, list[str]]:
+    """Return the fit of a diagram as given, within `near_stated` times what was stated where it went astray in vain.
 
     For want of what is missing a parameter may leave all sizes (a heater that warms up at once), and the data are not
-    explained. Beside such values no law shows what it explains.
+    explained. Beside such values no law shows what it explains. Where much more is left near what was stated, that is
+    wrong, and the fit stays. With what is said of it.
     """
-    stated = {item.name: item.value for item in base.free if item.value and item.unit != ANGLE_UNIT}
-    pairs = zip(base.free, base.theta.tolist(), strict=True)
-    astray = [item.name for item, value in pairs if times_astray(item, value, (item.scale, abs(item.value)))]
-    if base.failure or is_adequate(base) or not stated.keys() & {*astray}:
-        return base
-    document = values_in(base.document, stated)
-    free = dict(document["identify"])
-    for name, value in stated.items():
-        given = {key: text for key, text in free[name].items() if key not in ("low", "high")}
-        low, high = sorted((value / CRITERIA.near_stated, value * CRITERIA.near_stated))
-        item = next(one for one in base.free if one.name == name)
-        free[name] = {**given, "low": max(low, item.low), "high": min(high, item.high)}
-    within = evidence.fit({**document, "identify": free}, [[{}]])
-    if within.failure:
-        return base
-    return evidence.at(replace(within, document=base.document, free=base.free))
+    pairs = [*zip(base.free, base.theta.tolist(), strict=True)]
+    sized = [(item, value) for item, value in pairs if item.value and item.unit != ANGLE_UNIT]
+    astray = [(item.name, value) for item, value in sized if is_astray(item, value, (item.scale, abs(item.value)))]
+    if base.failure or is_adequate(base) or not astray:
+        return base, []
+    limits = {}
+    for item, _ in sized:
+        low, high = sorted((item.value / CRITERIA.near_stated, item.value * CRITERIA.near_stated))
+        limits[item.name] = max(low, item.low), min(high, item.high)
+    near = evidence.within(values_in(base.document, {item.name: item.value for item in base.free}), limits)
+    if near.failure or near.misfit > CRITERIA.near_misfit * base.misfit:
+        return base, []
+    went = ", ".join(f"{name} to {value:.3g}" for name, value in astray)
+    times = f"{CRITERIA.near_stated:g} times what is stated, and a tenth"
+    return replace(near, document=base.document), [f"fitted as given, {went}: held within {times}"]
 
 
 def waveform_evidence(
