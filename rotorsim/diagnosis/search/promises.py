@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from math import isclose
 
+import numpy as np
 from scipy.stats import chi2
 
 from rotorsim.criteria import CRITERIA
@@ -250,3 +251,31 @@ def still_likely(likely: frozenset[str], tried: Sequence[Candidate]) -> frozense
     near = {item.insertion.key for item in fitted if item.fit.misfit <= UNLIKELY * least}
     far = {item.insertion.key for item in fitted if item.final and item.insertion.key not in near}
     return frozenset((likely | near) - far)
+
+
+def is_kept(before: Fit, fits: Sequence[Fit], promise: Promise) -> bool:
+    """Return whether the best of some fits explains what was promised, as nearly as linear theory tells it."""
+    least = min((fit.misfit for fit in fits if not fit.failure), default=np.inf)
+    return NEAR_PROMISE * (before.misfit - least) >= before.misfit - promise.misfit
+
+
+def beyond_of(before: Fit, fits: Sequence[Fit]) -> float:
+    """Return the misfit beyond which a law is not followed after its first steps: it is no rival of the best fit.
+
+    RIVAL_MISFIT times the misfit of the best, or what explains STARTED of what it explains. Infinite where that has not
+    begun.
+    """
+    least = min((fit.misfit for fit in fits if not fit.failure), default=np.inf)
+    if any(is_adequate(fit) for fit in fits):
+        return RIVAL_MISFIT * least
+    started = before.misfit - STARTED * (before.misfit - least)
+    return min(RIVAL_MISFIT * least, started) if least < before.misfit else np.inf
+
+
+def is_slow(fit: Fit, most: float) -> bool:
+    """Return whether the fit of a nonlinear law has not got below a misfit: it may have begun too far away."""
+    return fit.nonlinear and fit.misfit > most
+
+
+def by_misfit(fits: Sequence[Fit]) -> list[int]:
+    return sorted((k for k, fit in enumerate(fits) if not fit.failure), key=lambda k: fits[k].misfit)

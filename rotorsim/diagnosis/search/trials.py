@@ -29,9 +29,13 @@ from rotorsim.diagnosis.search.promises import (
     at_next_places,
     at_other_places,
     at_rival_places,
+    beyond_of,
+    by_misfit,
     drop_of,
     falls_short,
     is_beyond,
+    is_kept,
+    is_slow,
     level_of,
     likely_of,
     noticed_from,
@@ -122,7 +126,7 @@ class Trials:
             jobs = near_laws(jobs, screened.laws)
             promised = {k: one for k in kept if (one := screened.laws.get(k) or promises[k]) is not None}
             begun = self._begun(before, jobs, kept, promised, is_out, called)
-            beyond = _beyond(before, [*begun.values()])
+            beyond = beyond_of(before, [*begun.values()])
             effort = Effort(FIRST_EVALUATIONS, linear_only=True, beyond=beyond, lost=False)
             unsure = () if places is None or places.sure or is_adequate(before) else classes
             others = at_likely_places(found, promises, unsure, begun)
@@ -150,7 +154,7 @@ class Trials:
         self.counts["fits"] += len(found)
         fits, ended = self._refined(before, jobs, fits, [item.law for item in found])
         found, fits = self._finer(before, found, fits)
-        beyond = _beyond(before, fits)  # what leaves more may have been stopped early
+        beyond = beyond_of(before, fits)  # what leaves more may have been stopped early
         ended |= {k for k, fit in enumerate(fits) if fit.failure or (not fit.nonlinear and fit.misfit <= beyond)}
         tried = [
             Candidate(item, fit, self._astray(before, fit), k in ended)
@@ -195,12 +199,12 @@ class Trials:
             return found
         jobs: list[Job] = [(values_in(tried[k].fit.document, tried[k].fit.values), [[{}]]) for k in which]
         jobs += [job for _, job in more]
-        beyond = _beyond(found.before, [item.fit for item in tried])
+        beyond = beyond_of(found.before, [item.fit for item in tried])
         effort = Effort(FIRST_EVALUATIONS if every else None, beyond=beyond, lost=not every)
         fits = self._fit(jobs, effort)
         ended = {*range(len(jobs))}
         if every:  # of many laws few are carried to the end
-            ended = {*_bymisfit_of(fits)[:REFINED]}
+            ended = {*by_misfit(fits)[:REFINED]}
             self._again(jobs, fits, [*ended], None)
         for k, fit in zip(which, fits, strict=False):
             better = not fit.failure and fit.misfit <= tried[k].fit.misfit
@@ -269,11 +273,11 @@ class Trials:
             more = by_promise[n * MOST_PROMISING : (n + 1) * MOST_PROMISING]
             first += self._fit([jobs[k] for k in more], Effort(FIRST_EVALUATIONS))
             order += more
-            if not more or _is_kept(before, first, promised[more[0]]):
+            if not more or is_kept(before, first, promised[more[0]]):
                 break
         others = [k for k in kept if k not in order and not is_out(k, first)]
         most = LAST_EVALUATIONS if promised and any(map(is_adequate, first)) else FIRST_EVALUATIONS
-        effort = Effort(most, linear_only=True, beyond=_beyond(before, first), lost=not known)
+        effort = Effort(most, linear_only=True, beyond=beyond_of(before, first), lost=not known)
         rest = self._fit([jobs[k] for k in others], effort)
         return dict(zip([*order, *others], [*first, *rest], strict=True))
 
@@ -288,9 +292,9 @@ class Trials:
         laws: physics and variant of each. Where one of all explains the data, only those near it matter any more.
         """
         if not any(is_adequate(fit) for fit in fits):
-            order = [k for k in _bymisfit_of(fits) if fits[k].nonlinear]
+            order = [k for k in by_misfit(fits) if fits[k].nonlinear]
             self._again(jobs, fits, order[:SECOND_STAGE_FITS], SECOND_EVALUATIONS)
-        order = _bymisfit_of(fits)
+        order = by_misfit(fits)
         if is_adequate(before):  # only what is not noise matters
             order = [k for k in order if before.misfit - fits[k].misfit > HINT * len(fits[k].free)][:SECOND_STAGE_FITS]
         elif any(is_adequate(fit) for fit in fits):
@@ -300,10 +304,8 @@ class Trials:
                 best_of: dict[Law, int] = {}  # of the places of each law
                 for k in order:
                     best_of.setdefault(laws[k], k)
-                self._again(jobs, fits, [k for k in best_of.values() if _is_slow(fits[k], slow)], SECOND_EVALUATIONS)
-            order = [
-                k for k in _bymisfit_of(fits) if fits[k].misfit < RIVAL_MISFIT * least and not _is_slow(fits[k], slow)
-            ]
+                self._again(jobs, fits, [k for k in best_of.values() if is_slow(fits[k], slow)], SECOND_EVALUATIONS)
+            order = [k for k in by_misfit(fits) if fits[k].misfit < RIVAL_MISFIT * least and not is_slow(fits[k], slow)]
         else:
             most = min(PROMISING * before.misfit, RIVAL_MISFIT * min((fits[k].misfit for k in order), default=np.inf))
             order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < most]
@@ -317,7 +319,7 @@ class Trials:
         width leaves must not be taken for another effect.
         """
         found, fits = list(found), list(fits)
-        best = _bymisfit_of(fits)[:REFINED]
+        best = by_misfit(fits)[:REFINED]
         which = [] if is_adequate(before) else [k for k in best if found[k].fault.finer]
         finer = [found[k].finer for k in which]
         jobs: list[Job] = []
@@ -396,31 +398,3 @@ class Trials:
         pairs = zip(entered[:-1], effects, strict=False)
         kept = (Candidate(one, old.fit if one.name == old.insertion.name else fit) for one, old in pairs)
         return (*kept, Candidate(entered[-1], fit))
-
-
-def _is_kept(before: Fit, fits: Sequence[Fit], promise: Promise) -> bool:
-    """Return whether the best of some fits explains what was promised, as nearly as linear theory tells it."""
-    least = min((fit.misfit for fit in fits if not fit.failure), default=np.inf)
-    return NEAR_PROMISE * (before.misfit - least) >= before.misfit - promise.misfit
-
-
-def _beyond(before: Fit, fits: Sequence[Fit]) -> float:
-    """Return the misfit beyond which a law is not followed after its first steps: it is no rival of the best fit.
-
-    RIVAL_MISFIT times the misfit of the best, or what explains STARTED of what it explains. Infinite where that has not
-    begun.
-    """
-    least = min((fit.misfit for fit in fits if not fit.failure), default=np.inf)
-    if any(is_adequate(fit) for fit in fits):
-        return RIVAL_MISFIT * least
-    started = before.misfit - STARTED * (before.misfit - least)
-    return min(RIVAL_MISFIT * least, started) if least < before.misfit else np.inf
-
-
-def _is_slow(fit: Fit, most: float) -> bool:
-    """Return whether the fit of a nonlinear law has not got below a misfit: it may have begun too far away."""
-    return fit.nonlinear and fit.misfit > most
-
-
-def _bymisfit_of(fits: Sequence[Fit]) -> list[int]:
-    return sorted((k for k, fit in enumerate(fits) if not fit.failure), key=lambda k: fits[k].misfit)

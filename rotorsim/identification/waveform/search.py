@@ -7,7 +7,7 @@ carriage of EMPS, with parameters beyond all sizes. Here a positive parameter ch
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -29,12 +29,9 @@ SEARCH_COST_TOLERANCE = (
 SIMULATION_SUBSTEPS = 64  # between samples: a matter of time
 LEAP = 4.0  # factor by which a positive parameter may change in a step
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8  # of the scaled information: nearly none, none, no step
-AMPLITUDES = tuple(10.0**-k for k in range(0, 25, 2))  # of what is stated, of an effect that is made smaller
-NEARBY = (100.0, 30.0, 10.0, 3.0, 0.3, 0.1)  # of that which is small enough: sizes within a step of AMPLITUDES
 WEAK = (
     1e-8  # times the information on the state that shows best: to show as much, it would have to move 1e4 times as far
 )
-WORSE = 4.0  # times the cost without the effect, of a start that is taken
 
 Label = tuple[str, str, int]  # subsystem, state, run
 
@@ -401,37 +398,3 @@ class OutputErrorSearch:
         return np.array(
             [j for j, one in enumerate(self.free) if one.unit == "rad" and np.isinf(one.high - one.low)], int
         )
-
-    def started(
-        self, unknowns: np.ndarray, values: Mapping[str, float], old: Collection[str] = ()
-    ) -> np.ndarray | None:
-        """Return a point with some free parameters set, an effect made small enough that the runs stay as they were.
-
-        Blocks state their starts for machines of usual size; an effect that is absent at zero is made smaller until
-        its cost is within WORSE times that without it, and from there takes the size of NEARBY that costs least. None
-        where no start is found. old: names that are no effect.
-        """
-        low, high = self.bounds
-        index = {item.name: j for j, item in enumerate(self.free)}
-        named = {name: index[name] for name in values if name in index}
-        stated = self.stated(unknowns, values)
-        effects = [j for name, j in named.items() if name not in old and stated[j] != 0 and low[j] <= 0 <= high[j]]
-
-        def scaled(group: Sequence[int], factor: float) -> tuple[float, np.ndarray]:
-            point = stated.copy()
-            point[group] *= factor
-            point = np.clip(point, low, high)
-            return self.evaluate(point, self.substeps(point), sensitivities=False).cost, point
-
-        groups = [*([j] for j in effects), *([effects] if len(effects) > 1 else [])]
-        absent = [(scaled(group, 0.0)[0], group) for group in groups]
-        least, group = min(absent, default=(np.inf, []), key=lambda pair: pair[0])
-        if not np.isfinite(least):
-            cost, point = scaled([], 1.0)
-            return point if np.isfinite(cost) else None
-        for factor in AMPLITUDES:
-            trials = [scaled(group, factor)]
-            if trials[0][0] <= WORSE * least:
-                trials += [scaled(group, factor * nearby) for nearby in NEARBY]
-                return min(trials, key=lambda pair: pair[0])[1]
-        return None

@@ -17,7 +17,8 @@ from functools import cached_property
 
 import numpy as np
 
-from rotorsim.identification.waveform.search import WORSE, Evaluation, OutputErrorSearch, solved
+from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch, solved
+from rotorsim.identification.waveform.starting import WORSE
 
 FIRST_ORDER_STARTS = 9  # starts of a law, evenly among those that are declared
 SMALLER, REDUCTIONS = 1e-2, 12  # factor by which an effect is made smaller until the simulation stands it

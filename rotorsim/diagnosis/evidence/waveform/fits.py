@@ -29,6 +29,7 @@ from rotorsim.identification.waveform.noise import (
 )
 from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
 from rotorsim.identification.waveform.shooting import is_lost, shot
+from rotorsim.identification.waveform.starting import started
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.model.heard import surviving
 
@@ -272,7 +273,7 @@ class WaveformFits(SampledRuns):
             measured = short.first()[short.m :]  # states at first samples, where that is better
 
             def begun(start: Mapping[str, float]) -> np.ndarray | None:
-                point = short.started(first, start, self.old)
+                point = started(short, first, start, self.old)
                 other = None if point is None else np.concatenate([point[: short.m], measured])
                 return point if point is None or other is None else _cheaper(short, point, other)
 
