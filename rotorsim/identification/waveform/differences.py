@@ -10,7 +10,9 @@ from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearc
 
 DIFFERENCE = 1e-3  # of an unknown: what it changes is far above what a level at zero jitters, and its square far below
 AS_TOLD = 0.01  # of the change that a Jacobian tells: it falls as the square of DIFFERENCE where laws are smooth
-SHOWN = 1e-4  # of the change by the strongest column, which one must reach to be judged with it: far above rounding
+LEAST_CHANGE = (
+    1e-4  # of the change by the strongest column, which one must reach to be judged with it: far above rounding
+)
 
 
 def by_differences(search: OutputErrorSearch, here: Evaluation) -> Evaluation:
@@ -25,7 +27,7 @@ def by_differences(search: OutputErrorSearch, here: Evaluation) -> Evaluation:
     change = np.sqrt(np.maximum(np.diag(here.information), 0.0)) * size
     size = size / np.maximum(change / np.sqrt(max(here.cost, 1e-300)), 1.0)
     change = np.minimum(change, np.sqrt(here.cost))
-    shown = change >= SHOWN * change.max(initial=0.0)
+    shown = change >= LEAST_CHANGE * change.max(initial=0.0)
     equal = np.where(shown, size * change[shown].min(initial=np.inf) / np.where(shown, change, 1.0), 0.0)
     right = shown & (here.unknowns != 0) if _is_slope(search, here, equal) else np.zeros(len(size), bool)
     wrong = np.flatnonzero((here.unknowns != 0) & ~right)
