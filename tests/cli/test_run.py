@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorsim.cli import run as run_verb
+from rotorsim.cli.simulations import run as run_verb
 from tests.reference.published import TABLE_2_2
 
 
