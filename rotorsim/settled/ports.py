@@ -13,15 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-from scipy.linalg.lapack import zgetrf, zgetrs
 
-from rotorsim.settled.resolvent import Resolvent, shifted
+from rotorsim.settled.resolvent import DynamicStiffness, Resolvent
 
 FACTORS_KEPT = 64 << 20  # bytes of factors
 RANK = 1e-10  # of the largest, for directions in units of the rows of A
 
-Factor = tuple[np.ndarray, np.ndarray]
-_kept: OrderedDict[tuple[bytes, bytes, bytes], list[Factor]] = OrderedDict()
+_kept: OrderedDict[tuple[bytes, bytes, bytes], DynamicStiffness] = OrderedDict()
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,38 +61,26 @@ def open_ports(
     seen = np.unique(np.concatenate([columns, *slow]).astype(int))
     P = np.zeros((*s.shape, len(seen), len(rows)), complex)
     effects = []
-    resting = U.copy()
     for r, states in enumerate(slow):
-        factors = _factors_of(A[r], s[r], states)
-        resting[:], resting[states] = U, 0.0
-        for k, factor in enumerate(factors):
-            P[r, k] = zgetrs(*factor, U if k else resting)[0][seen]
-        driven = A[r][:, states].copy()
-        driven[states] = 0.0
-        effect = zgetrs(*factors[0], driven)[0].real
+        stiffness = _stiffness_of(A[r], s[r], states)
+        P[r] = stiffness.solve(np.repeat(U[None], s.shape[1], 0))[:, seen]
+        effect = stiffness.solve(A[r][None][:, :, states])[0].real
         effect[states, np.arange(len(states))] = 1.0
         effects.append(effect[seen])
     return Ports(rows, seen, A[:, rows[:, None], seen], P, effects)
 
 
-def _factors_of(A: np.ndarray, s: np.ndarray, states: np.ndarray) -> list[Factor]:
-    """Return the triangular factors of s I - A (K+1) of a run whose slow states rest at order 0.
+def _stiffness_of(A: np.ndarray, s: np.ndarray, states: np.ndarray) -> DynamicStiffness:
+    """Return the dynamic stiffness (K+1) of a run whose slow states rest at order 0.
 
     Those of the last runs are kept: most fault candidates do not change A where their fit begins.
     """
     key = A.tobytes(), s.tobytes(), states.tobytes()
-    factors = _kept.pop(key, None)
-    if factors is None:
-        matrices = shifted(A[None], s[None], [states])[0]
-        found = [zgetrf(matrix) for matrix in matrices]
-        if any(info > 0 for *_, info in found):
-            raise np.linalg.LinAlgError("a frequency of the motion is that of an undamped mode")
-        factors = [(lu, pivots) for lu, pivots, _ in found]
-    _kept[key] = factors
-    size = A.size * s.size * s.itemsize
-    while len(_kept) * size > FACTORS_KEPT:
+    found = _kept.pop(key, None) or DynamicStiffness.of(A, s, states)
+    _kept[key] = found
+    while len(_kept) * found.size > FACTORS_KEPT:
         _kept.popitem(last=False)
-    return factors
+    return found
 
 
 def _spanned(

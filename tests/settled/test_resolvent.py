@@ -1,5 +1,7 @@
 """The response of many runs at many orders, by inverses and by the ports of what nothing moves."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from rotorsim.settled.equations import Equations
 from rotorsim.settled.motion import DENSE, LinearMotion
 from rotorsim.settled.nonlinear import NonlinearMotion
 from rotorsim.settled.ports import open_ports
-from rotorsim.settled.resolvent import resolvent_of
+from rotorsim.settled.resolvent import DynamicStiffness, product, resolvent_of
 from rotorsim.settled.slow_states import ALL_MODES, slow_states
 
 SPEEDS = np.array([150.0, -260.0, 410.0])
@@ -63,6 +65,30 @@ def test_ports_respond_as_the_whole_does_to_what_moves_them():
         assert part.slow[r] == pytest.approx(whole.slow[r][ports.columns], rel=1e-9, abs=1e-9)
 
 
+def test_a_dynamic_stiffness_solves_the_system_without_its_velocities():
+    """Positions whose rates are states, one beside an acceleration (a chain of three), first-order states and one that
+    rests; forces on all, where nothing rests on that of positions, too."""
+    n, m = 20, 7
+    A, s = systems(n)
+    A, s = A[0], s[0]
+    positions, velocities = np.arange(0, 2 * m, 2), np.arange(1, 2 * m, 2)
+    A[positions] = 0.0
+    A[positions, velocities] = 1.0
+    A[16] = np.eye(n)[0]  # the integral of a position: its rate is a state that is a position itself
+    resting = np.array([17])
+    stiffness = DynamicStiffness.of(A, s, resting)
+    assert stiffness.positions.tolist() == [*positions]
+    assert stiffness.velocities.tolist() == [*velocities]
+    assert stiffness.size == 4 * 13 * 13 * 16
+    random = np.random.default_rng(4)
+    F = random.standard_normal((4, n, 3)) + 1j * random.standard_normal((4, n, 3))
+    X = stiffness.solve(F)
+    F[0, resting] = 0.0
+    expected = resolvent_of(A[None], s[None], [resting]).gain[0] @ F
+    assert np.abs(X - expected).max() < 1e-13 * np.abs(X).max()
+    assert not X[0, resting].any()
+
+
 @pytest.mark.parametrize("n", [44, ALL_MODES + 20])
 def test_slow_states_of_large_systems_are_those_of_all_modes(n):
     random = np.random.default_rng(3)
@@ -110,6 +136,35 @@ def test_a_beam_moves_by_way_of_its_ports_as_by_all_its_states():
         assert np.abs(part.sensitivity(x) - slopes)[..., j].max() < 1e-8 * np.abs(slopes[..., j]).max()
     for r in range(3):
         assert part.C[r] @ part.slow_states(r) == pytest.approx(whole.C[r] @ whole.slow_states(r), rel=1e-8, abs=1e-12)
+
+
+def test_finer_meshes_change_the_motion_by_a_sixteenth_each():
+    """Cubic elements err with the fourth power of their length. In beams of 4 mm, s^2 is 1e-11 of the entries of A."""
+    document = load("two_amb_rotor").document
+    outputs = [f"rotor.displacement[{node},1]" for node in (3, 4, 6, 7)]
+    found = []
+    for subdivisions in (1, 2, 4):
+        document["blocks"]["rotor"]["parameters"]["subdivisions"] = subdivisions
+        diagram = load(document)
+        model = compile_diagram(diagram)
+        p = np.array([model.parameter_vector({"speed": speed}) for speed in SPEEDS])
+        motion = LinearMotion(Equations(model, outputs, diagram.free), p, SPEEDS, 3, np.ones(3), np.zeros(3))
+        found.append(motion.predict(motion.equations.theta0).Y)
+    first, second = (np.linalg.norm(fine - coarse) for coarse, fine in pairwise(found))
+    assert first < 1e-3 * np.linalg.norm(found[-1])
+    assert first / second == pytest.approx(16.0, rel=0.05)
+
+
+def test_a_product_has_more_digits_than_rounding_leaves():
+    """[B, D - B] [x, x] = D x of integers: sums of 2^80 that cancel but for 2^32."""
+    random = np.random.default_rng(6)
+    n, c = 60, 4
+    B, D = random.integers(-(1 << 50), 1 << 50, (2 * n, n)), random.integers(-3, 4, (2 * n, n))
+    x = random.integers(-(1 << 26), 1 << 26, (n, c))
+    A, X = np.hstack([B, D - B]).astype(float), np.vstack([x, x]).astype(float)
+    size = (np.abs(A) @ np.abs(X)).max()
+    assert np.abs(A @ X - D @ x).max() > 2.0**-56 * size
+    assert np.abs(product(A, X.view(complex)).view(float) - D @ x).max() < 2.0**-72 * size
 
 
 def test_harmonic_balance_of_a_linear_beam_is_its_direct_response():
