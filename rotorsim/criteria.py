@@ -18,11 +18,12 @@ class Criteria:
     # residual variance, of the noise's, that is not worth a name whatever its probability: a variance estimated from n
     # independent samples is wrong by sqrt(2 / n), 5 % for the 800 between the harmonics of a run of 0.2 s at 5 kHz
     model_error: float = 1.05
-    # of the equations, in the misfit: what meshes get wrong where another mesh is the truth. Meshes are refined until
-    # a finer one changes mesh_visible of them; the sum of what still finer ones would change is five times that. Not
-    # what they change where it is less: beams of another program differ by more (tests/diagnosis/test_other_beams.py)
+    # of the equations, in the misfit: what meshes get wrong where another mesh is the truth. Not what finer ones
+    # change: beams of another program differ by more (tests/diagnosis/test_other_beams.py)
     mesh_error: float = 0.1
-    mesh_visible: float = 0.02
+    # in the misfit: what a finer mesh changes, above which it is taken. What is left moves the parameters by one
+    # standard deviation, times 16/15 for still finer ones, in the direction that shows most, and less in all others
+    mesh_visible: float = 1.0
     # of the rms of all signals: residual of the harmonics of a run that has no settled motion
     settled: float = 0.5
     # of a disturbance over the window of a run: growth that a recording of a settled motion would show

@@ -15,6 +15,7 @@ from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagram.diagram import Diagram
 
 FINEST = 8
+FALL = 256  # of the square of what meshes get wrong, by half the length: cubic elements err with its fourth power
 
 
 def with_uncertain(diagram: Diagram) -> dict[str, Any]:
@@ -48,7 +49,7 @@ def base_fit(diagram: Diagram, evidence: Evidence) -> tuple[Fit, list[str]]:
     """Return the fit of a diagram to a recording, on meshes so fine that finer ones change nothing; what was refined.
 
     A block that declares ``refinement`` is refined until a finer mesh changes the whitened prediction by less than
-    `Criteria.mesh_visible` of the equations (sum of squares).
+    `Criteria.mesh_visible` (sum of squares).
     """
     found = evidence.fit(with_uncertain(diagram), [])
     notes: list[str] = []
@@ -57,23 +58,27 @@ def base_fit(diagram: Diagram, evidence: Evidence) -> tuple[Fit, list[str]]:
         if option is None or found.failure:
             continue
         level = int(getattr(node.block.option, option))
-        while level < FINEST and _shows(found, evidence, name, option, 2 * level):
+        while level < FINEST:
+            change = _change(found, evidence, name, option, 2 * level)
+            if change <= CRITERIA.mesh_visible:
+                break
             finer = evidence.fit(_with_option(found.document, name, option, 2 * level), [])
             if finer.failure:
                 break
             found, level = finer, 2 * level
             notes.append(f"{name}: {option} {level}, for what the coarser mesh gets wrong shows in these data")
+            if level >= FINEST and change > FALL * CRITERIA.mesh_visible:
+                notes[-1] += "; a finer one would show, too"
     return found, notes[-1:]
 
 
-def _shows(fit: Fit, evidence: Evidence, block: str, option: str, value: int) -> bool:
-    """Return whether a finer mesh changes what the fit predicts by more than the data can tell."""
+def _change(fit: Fit, evidence: Evidence, block: str, option: str, value: int) -> float:
+    """Return the square of what a finer mesh changes in the whitened prediction, 0 where there is none."""
     document = values_in(fit.document, fit.values)
     coarse, fine = (evidence.residual(d) for d in (document, _with_option(document, block, option, value)))
     if coarse is None or fine is None:
-        return False
-    change = fine - coarse
-    return float(change @ change) > CRITERIA.mesh_visible * fit.rows
+        return 0.0
+    return float((fine - coarse) @ (fine - coarse))
 
 
 def _with_option(document: Mapping[str, Any], block: str, option: str, value: int) -> Mapping[str, Any]:
