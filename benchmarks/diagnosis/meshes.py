@@ -14,9 +14,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from rotorsim.diagnosis.evidence.base_fit import with_uncertain
-from rotorsim.identification.estimate import Search, estimate
-from rotorsim.identification.experiment import open_experiment
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.estimate import Search, estimate
+from rotorsim.identification.harmonic.experiment import open_experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.model.load import load
 from rotorsim.recordings.loading import load_recording
 from rotorsim.signals.harmonics import harmonics_of

@@ -31,10 +31,10 @@ def one_seed(argument: dict[str, int]) -> dict[str, Any]:
     """Return values, intervals and verdicts of one draw of the noise."""
     from threadpoolctl import threadpool_limits
 
-    from rotorsim.identification.estimate import Search, estimate
-    from rotorsim.identification.experiment import open_experiment
-    from rotorsim.identification.likelihood import Likelihood
-    from rotorsim.identification.profile import profile_intervals
+    from rotorsim.identification.harmonic.estimate import Search, estimate
+    from rotorsim.identification.harmonic.experiment import open_experiment
+    from rotorsim.identification.harmonic.likelihood import Likelihood
+    from rotorsim.identification.harmonic.profile import profile_intervals
     from rotorsim.identification.verdict import judge
     from rotorsim.model.load import load
     from rotorsim.recordings.loading import load_recording
@@ -65,8 +65,8 @@ def one_seed(argument: dict[str, int]) -> dict[str, Any]:
 
 def cramer_rao(sets: int) -> np.ndarray:
     """Return the standard deviations that no unbiased estimate can undercut, from the sensitivities at the truth."""
-    from rotorsim.identification.experiment import open_experiment
-    from rotorsim.identification.likelihood import Likelihood
+    from rotorsim.identification.harmonic.experiment import open_experiment
+    from rotorsim.identification.harmonic.likelihood import Likelihood
     from rotorsim.model.load import load
     from rotorsim.recordings.loading import load_recording
     from tests.reference.recordings import Truth, add_noise, write_recording

@@ -10,9 +10,9 @@ import numpy as np
 from rotorsim.criteria import Z90
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
-from rotorsim.identification.estimate import Estimate
-from rotorsim.identification.experiment import Experiment, open_experiment
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.estimate import Estimate
+from rotorsim.identification.harmonic.experiment import Experiment, open_experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.identification.verdict import relative_width
 from rotorsim.settled.equations import slots_of
 from rotorsim.units import format_quantity

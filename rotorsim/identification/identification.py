@@ -12,16 +12,16 @@ from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice import Advice, advise
-from rotorsim.identification.coordinates import stretched
-from rotorsim.identification.estimate import Estimate, Residuals, Search, estimate
-from rotorsim.identification.experiment import open_experiment
+from rotorsim.identification.harmonic.coordinates import stretched
+from rotorsim.identification.harmonic.estimate import Estimate, Residuals, Search, estimate
+from rotorsim.identification.harmonic.experiment import open_experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
+from rotorsim.identification.harmonic.profile import joint_factor, linear_intervals, profile_intervals
+from rotorsim.identification.harmonic.regression import THESIS_ORDERS, open_regression
+from rotorsim.identification.harmonic.scatter import scatter_of, with_covariance
 from rotorsim.identification.in_orders import identify_orders
 from rotorsim.identification.in_time import identify_in_time
-from rotorsim.identification.likelihood import Likelihood
-from rotorsim.identification.profile import joint_factor, linear_intervals, profile_intervals
-from rotorsim.identification.regression import THESIS_ORDERS, open_regression
 from rotorsim.identification.result import Identification, Identified, sentences
-from rotorsim.identification.scatter import scatter_of, with_covariance
 from rotorsim.identification.verdict import judge
 from rotorsim.identification.waveform.along_angle import is_in_time
 from rotorsim.jobs.threads import one_thread

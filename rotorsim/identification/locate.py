@@ -13,9 +13,9 @@ import numpy as np
 from rotorsim.block import In
 from rotorsim.diagram.diagram import Diagram, Wire
 from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.identification.estimate import Estimate, Search, estimate
-from rotorsim.identification.experiment import open_experiment
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.estimate import Estimate, Search, estimate
+from rotorsim.identification.harmonic.experiment import open_experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.jobs.threads import one_thread
 from rotorsim.model.heard import Heard, hearing
 from rotorsim.model.load import load

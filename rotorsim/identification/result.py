@@ -14,7 +14,7 @@ from rotorsim._shown import Shown
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem
 from rotorsim.identification.advice import Advice
-from rotorsim.identification.profile import joint_factor
+from rotorsim.identification.harmonic.profile import joint_factor
 from rotorsim.identification.verdict import Verdict
 from rotorsim.identification.waveform.estimate import TimeEstimate
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagram.diagram import Free
-from rotorsim.identification.coordinates import ANGLE_UNIT
+from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
 from rotorsim.units import format_quantity
 
 

@@ -8,7 +8,7 @@ import pytest
 from rotorsim.diagnosis.catalogue.finder import insertions
 from rotorsim.diagnosis.catalogue.insertion import LONGEST, Insertion, fixed_of, limits_of, sizes_at, starts_of
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
-from rotorsim.identification.likelihood import Evaluation, Likelihood
+from rotorsim.identification.harmonic.likelihood import Evaluation, Likelihood
 from rotorsim.signals.harmonics import harmonics_of
 from tests.identification import TRUTH, made, recorded, shipped
 

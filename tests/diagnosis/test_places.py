@@ -15,9 +15,9 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.harmonic.bounds import LowerBounds, open_bounds
 from rotorsim.diagnosis.evidence.harmonic.evidence import HarmonicEvidence
-from rotorsim.identification.estimate import Search
-from rotorsim.identification.experiment import open_experiment
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.estimate import Search
+from rotorsim.identification.harmonic.experiment import open_experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.signals.covariance import complex_values
 from rotorsim.signals.harmonics import harmonics_of
 from tests.identification import OTHER_GAINS, made, recorded, shipped

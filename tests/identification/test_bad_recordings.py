@@ -12,9 +12,9 @@ import pytest
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
-from rotorsim.identification.estimate import Search, estimate
+from rotorsim.identification.harmonic.estimate import Search, estimate
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.identification.identification import identify
-from rotorsim.identification.likelihood import Likelihood
 from rotorsim.identification.result import Identification
 from rotorsim.recordings.loading import load_recording
 from rotorsim.recordings.recording import Recording

@@ -7,12 +7,12 @@ import pytest
 
 from rotorsim.block import Param
 from rotorsim.diagram.diagram import Free
-from rotorsim.identification.coordinates import Coordinates, stretched
-from rotorsim.identification.estimate import Estimate, Search
 from rotorsim.identification.files import identification_data
+from rotorsim.identification.harmonic.coordinates import Coordinates, stretched
+from rotorsim.identification.harmonic.estimate import Estimate, Search
+from rotorsim.identification.harmonic.likelihood import Evaluation
+from rotorsim.identification.harmonic.profile import linear_intervals, profile_intervals
 from rotorsim.identification.identification import identify
-from rotorsim.identification.likelihood import Evaluation
-from rotorsim.identification.profile import linear_intervals, profile_intervals
 from rotorsim.identification.verdict import judge
 from tests.identification import OTHER_GAINS, TRUTH, changed, errors, made, recorded
 from tests.reference.recordings import LOWER, THESIS_GAINS

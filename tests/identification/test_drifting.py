@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from rotorsim.identification.drifting import DriftingLikelihood
+from rotorsim.identification.harmonic.drifting import DriftingLikelihood
 from rotorsim.settled.growing import DEGREES, _modes, decay_course
 from tests.diagnosis.test_nothing import bow, source
 from tests.identification import shipped

@@ -10,7 +10,7 @@ import pytest
 
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.identification import locate as locating
-from rotorsim.identification.estimate import Search
+from rotorsim.identification.harmonic.estimate import Search
 from rotorsim.identification.locate import Locations, locate
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 from rotorsim.model.heard import BARRED, tell

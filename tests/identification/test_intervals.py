@@ -9,9 +9,9 @@ from scipy.stats import chi2
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.identification import advice, identification
 from rotorsim.identification.advice import advise
-from rotorsim.identification.estimate import Estimate, Search
+from rotorsim.identification.harmonic.estimate import Estimate, Search
+from rotorsim.identification.harmonic.profile import profile_intervals
 from rotorsim.identification.identification import _about, _scores
-from rotorsim.identification.profile import profile_intervals
 from rotorsim.identification.study.runs import Bench
 from rotorsim.identification.study.study import StudyResult
 from rotorsim.identification.verdict import judge

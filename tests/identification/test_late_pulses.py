@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from rotorsim.identification.estimate import Search, estimate
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.estimate import Search, estimate
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.harmonic_fit import HarmonicFit
 from tests.identification import recorded

@@ -7,10 +7,10 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binom, chi2, norm
 
-from rotorsim.identification.estimate import Search, estimate
-from rotorsim.identification.experiment import open_experiment
+from rotorsim.identification.harmonic.estimate import Search, estimate
+from rotorsim.identification.harmonic.experiment import open_experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.identification.identification import identify
-from rotorsim.identification.likelihood import Likelihood
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonics import harmonics_of
 from tests.identification import MAKERS, OTHER_GAINS, RATE, TRUTH, changed, errors, made, recorded, shipped

@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.estimate import Search, estimate
-from rotorsim.identification.experiment import open_experiment
+from rotorsim.identification.harmonic.estimate import Search, estimate
+from rotorsim.identification.harmonic.experiment import open_experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.identification.identification import identify
-from rotorsim.identification.likelihood import Likelihood
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from rotorsim.settled.nonlinear import NonlinearMotion

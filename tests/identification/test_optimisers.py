@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from rotorsim.identification import estimate
-from rotorsim.identification.coordinates import Coordinates
-from rotorsim.identification.estimate import Search
+from rotorsim.identification.harmonic import estimate
+from rotorsim.identification.harmonic.coordinates import Coordinates
+from rotorsim.identification.harmonic.estimate import Search
 
 SHARE, TIME = 0.7, 48e-6
 S = 2j * np.pi * np.linspace(5.0, 500.0, 300)

@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import binom, f
 
 from rotorsim.errors import RotorsimError
-from rotorsim.identification.estimate import Search, estimate
+from rotorsim.identification.harmonic.estimate import Search, estimate
+from rotorsim.identification.harmonic.regression import THESIS_ORDERS, Regression, open_regression
+from rotorsim.identification.harmonic.scatter import DRAWS
 from rotorsim.identification.identification import identify
-from rotorsim.identification.regression import THESIS_ORDERS, Regression, open_regression
-from rotorsim.identification.scatter import DRAWS
 from rotorsim.recordings.recording import Channel, Recording
 from rotorsim.signals.harmonics import harmonics_of
 from tests.identification import TRUTH, changed, errors, free, made, recorded, shipped

@@ -9,10 +9,10 @@ import pytest
 from scipy.stats import binom, norm
 
 from rotorsim.diagram.diagram import Diagram, Free
-from rotorsim.identification.estimate import Search, estimate
 from rotorsim.identification.files import identification_data
+from rotorsim.identification.harmonic.estimate import Search, estimate
+from rotorsim.identification.harmonic.profile import joint_factor, profile_intervals
 from rotorsim.identification.identification import identify
-from rotorsim.identification.profile import joint_factor, profile_intervals
 from rotorsim.identification.result import Identification, Identified
 from rotorsim.identification.verdict import Combination, relative_width
 from rotorsim.recordings.recording import Recording

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotorsim.identification.experiment import Experiment, open_experiment
+from rotorsim.identification.harmonic.experiment import Experiment, open_experiment
 from rotorsim.settled.equations import Equations
 from tests.identification import changed, made, recorded
 

@@ -111,7 +111,7 @@ def _recording(name: str, against: Diagram | None) -> Found:
         code = int(any(problem.severity == "error" for problem in problems))
         problems += [] if code else check_harmonics(recording)
         if against is not None:
-            from rotorsim.identification.experiment import check_against
+            from rotorsim.identification.harmonic.experiment import check_against
 
             foreign = check_against(against, recording)
             problems, code = [*problems, *foreign], 2 if foreign else code

@@ -87,8 +87,8 @@ def command(
     rotorsim identify jeffcott measurements/2026-11 --out result
     """
     from rotorsim.identification.files import identification_data, save_identification
+    from rotorsim.identification.harmonic.regression import THESIS_ORDERS
     from rotorsim.identification.identification import identify
-    from rotorsim.identification.regression import THESIS_ORDERS
     from rotorsim.recordings.orders import load_any
 
     check_folder("--out", out)

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import RotorsimError
-from rotorsim.identification.coordinates import stretched
+from rotorsim.identification.harmonic.coordinates import stretched
 from rotorsim.model.heard import listener
 
 DEFERRED = "is nonlinear, and not fitted yet"

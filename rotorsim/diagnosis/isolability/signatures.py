@@ -25,7 +25,7 @@ from rotorsim.diagnosis.isolability.motion import LinearMotion
 from rotorsim.diagnosis.isolability.runs import Runs
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.coordinates import ANGLE_UNIT
+from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
 from rotorsim.jobs.threads import one_thread
 from rotorsim.model.load import load
 

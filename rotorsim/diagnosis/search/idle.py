@@ -13,7 +13,7 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.search.candidates import SAME, Candidate, Round
-from rotorsim.identification.coordinates import ANGLE_UNIT
+from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
 
 
 def without_idle(evidence: Evidence, fit: Fit, laws: Sequence[Insertion]) -> Fit:

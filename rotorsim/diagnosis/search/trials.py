@@ -44,7 +44,7 @@ from rotorsim.diagnosis.search.promises import (
 from rotorsim.diagnosis.search.screening import HINT, MOST_FITS, Screening
 from rotorsim.diagnosis.search.starts import jobs_of, led, near_laws, off_bounds
 from rotorsim.diagnosis.search.work import Work
-from rotorsim.identification.coordinates import ANGLE_UNIT
+from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
 from rotorsim.jobs.jobs import Jobs
 from rotorsim.jobs.threads import one_thread
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.harmonic.regression import REDUCTIONS
 from rotorsim.identification.identification import ESTIMATORS
-from rotorsim.identification.regression import REDUCTIONS
 from rotorsim.identification.study.printed import TABLES
 from rotorsim.measure.record import NOISE_KINDS
 from rotorsim.model.load import load

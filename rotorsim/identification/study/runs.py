@@ -18,11 +18,11 @@ import numpy as np
 from rotorsim.criteria import Z90
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
-from rotorsim.identification.estimate import Estimate, Residuals, Search, estimate
-from rotorsim.identification.experiment import open_experiment
-from rotorsim.identification.likelihood import Likelihood
-from rotorsim.identification.profile import profile_intervals
-from rotorsim.identification.regression import Regression, open_regression
+from rotorsim.identification.harmonic.estimate import Estimate, Residuals, Search, estimate
+from rotorsim.identification.harmonic.experiment import open_experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
+from rotorsim.identification.harmonic.profile import profile_intervals
+from rotorsim.identification.harmonic.regression import Regression, open_regression
 from rotorsim.identification.study.plan import Study
 from rotorsim.identification.verdict import judge
 from rotorsim.jobs.threads import one_thread

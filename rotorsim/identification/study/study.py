@@ -21,7 +21,7 @@ import numpy as np
 from rotorsim.criteria import Z90
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.files import write_atomically
-from rotorsim.identification.coordinates import ANGLE_UNIT
+from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
 from rotorsim.identification.study.plan import Case, Study
 from rotorsim.identification.study.printed import PRINTED_LEVELS, TABLES
 from rotorsim.identification.study.runs import Bench, bench_of

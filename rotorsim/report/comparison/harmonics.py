@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from rotorsim.identification.experiment import Experiment
-from rotorsim.identification.whitening import harmonics_of_time
+from rotorsim.identification.harmonic.experiment import Experiment
+from rotorsim.identification.harmonic.whitening import harmonics_of_time
 from rotorsim.report.style import Look
 from rotorsim.report.text.table import rpm
 from rotorsim.signals.harmonic_fit import HarmonicFit

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorsim.identification.whitening import harmonics_of_time
+from rotorsim.identification.harmonic.whitening import harmonics_of_time
 from rotorsim.jobs.threads import one_thread
 from rotorsim.report.comparison.harmonics import PredictedRuns, Signal
 from rotorsim.report.style import ZERO_SHARE

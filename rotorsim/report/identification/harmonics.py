@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from rotorsim.identification.experiment import open_experiment
+from rotorsim.identification.harmonic.experiment import open_experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.identification.identification import HarmonicIdentification
-from rotorsim.identification.likelihood import Likelihood
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording
 from rotorsim.report.comparison.harmonics import Comparison, predicted_runs

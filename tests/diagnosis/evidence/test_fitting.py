@@ -26,10 +26,10 @@ from rotorsim.diagnosis.search.starts import off_bounds
 from rotorsim.diagnosis.search.trials import SECOND_EVALUATIONS, Trials
 from rotorsim.diagram.diagram import Free
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
-from rotorsim.identification.coordinates import Coordinates
-from rotorsim.identification.estimate import Estimate
+from rotorsim.identification.harmonic.coordinates import Coordinates
+from rotorsim.identification.harmonic.estimate import Estimate
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.identification.left_out import left_out
-from rotorsim.identification.likelihood import Likelihood
 from rotorsim.jobs.jobs import Jobs
 from rotorsim.model.load import load
 from tests.diagnosis.test_places import healthy, items

@@ -18,7 +18,7 @@ from rotorsim.diagnosis.evidence.fit import FAILURES, Fit
 from rotorsim.diagnosis.evidence.harmonic.projection import basis_of, with_delay
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.signals.covariance import real_vector
 

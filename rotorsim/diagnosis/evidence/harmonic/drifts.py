@@ -13,8 +13,8 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.fit import FAILURES, Fit
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.drifting import DriftingLikelihood
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.drifting import DriftingLikelihood
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.recordings.recording import Recording
 from rotorsim.settled.growing import DEGREES
 from rotorsim.signals.harmonics import RunHarmonics

@@ -23,7 +23,7 @@ from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns, has_mesh
 from rotorsim.diagnosis.evidence.harmonic.scoring import held_score, left_out_score, predict, standardised
 from rotorsim.diagnosis.evidence.harmonic.separation import best_change
 from rotorsim.diagnosis.evidence.validated import Validated
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonics import RunHarmonics
 

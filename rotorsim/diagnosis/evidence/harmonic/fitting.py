@@ -12,13 +12,13 @@ import numpy as np
 
 from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, Fit, Starts, failed_fit
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
-from rotorsim.identification.coordinates import ANGLE_UNIT
-from rotorsim.identification.drifting import LaggingLikelihood, likelihood_of
-from rotorsim.identification.estimate import MOST_EVALUATIONS, Estimate, Search, summary
-from rotorsim.identification.experiment import Experiment
+from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
+from rotorsim.identification.harmonic.drifting import LaggingLikelihood, likelihood_of
+from rotorsim.identification.harmonic.estimate import MOST_EVALUATIONS, Estimate, Search, summary
+from rotorsim.identification.harmonic.experiment import Experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
+from rotorsim.identification.harmonic.profile import linear_intervals
 from rotorsim.identification.left_out import RANK_TOLERANCE, left_out
-from rotorsim.identification.likelihood import Likelihood
-from rotorsim.identification.profile import linear_intervals
 from rotorsim.model.heard import surviving
 
 START_ANGLES = 8  # values over a turn of a new angle that enters in more than one way

@@ -16,7 +16,7 @@ from rotorsim.diagnosis.evidence.evidence import Unknown
 from rotorsim.diagnosis.evidence.harmonic.residual import free_amplitudes
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.errors import RotorsimError
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.signals.asynchronous import Asynchronous
 
 TURN = 2 * np.pi

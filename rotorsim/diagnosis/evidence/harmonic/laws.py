@@ -40,8 +40,8 @@ from rotorsim.diagnosis.evidence.harmonic.placed_law import PlacedLaw, entries_o
 from rotorsim.diagnosis.evidence.harmonic.projection import basis_of, lengths_of, with_delay
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagram.diagram import Free
-from rotorsim.identification.coordinates import ANGLE_UNIT
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.identification.waveform.driven.equations import driven_equations
 from rotorsim.model.compiled import Model
 from rotorsim.model.matrix_function import MatrixFunction

@@ -17,7 +17,7 @@ from rotorsim.diagnosis.evidence.harmonic.pickups import find_pickups
 from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.experiment import Experiment
+from rotorsim.identification.harmonic.experiment import Experiment
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.asynchronous import Asynchronous, find_asynchronous, with_asynchronous
 from rotorsim.signals.converters import stated_steps, through_converters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorsim.identification.likelihood import Evaluation
+from rotorsim.identification.harmonic.likelihood import Evaluation
 
 
 def lengths_of(columns: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from rotorsim.diagnosis.evidence.harmonic.bounds import additive_inputs, open_bo
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagnosis.evidence.harmonic.scoring import predict
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.likelihood import Likelihood
 
 
 def free_amplitudes(

@@ -11,9 +11,9 @@ import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import LEAST, LINES, LONGEST, RATE
 from rotorsim.diagram.diagram import Diagram, Free
-from rotorsim.identification.drifting import DriftingLikelihood
-from rotorsim.identification.experiment import Experiment, open_experiment
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.drifting import DriftingLikelihood
+from rotorsim.identification.harmonic.experiment import Experiment, open_experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.asynchronous import Asynchronous
@@ -48,7 +48,7 @@ class HarmonicRuns:
         return load(document, folder=folder, trust_blocks=self.trust_blocks)
 
     def open(self, diagram: Diagram, *, inject: Sequence[str] = ()) -> Experiment:
-        """Return a diagram beside the harmonics; see `rotorsim.identification.experiment.open_experiment`."""
+        """Return a diagram beside the harmonics; see `rotorsim.identification.harmonic.experiment.open_experiment`."""
         return open_experiment(
             before_converters(diagram),
             self.recording,

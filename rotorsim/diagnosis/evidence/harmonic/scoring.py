@@ -15,9 +15,9 @@ from rotorsim.diagnosis.evidence.harmonic.fitting import fit_document
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagnosis.evidence.harmonic.stability import unsettled
 from rotorsim.identification import left_out
-from rotorsim.identification.drifting import likelihood_of
-from rotorsim.identification.experiment import Experiment
-from rotorsim.identification.likelihood import Evaluation, Likelihood
+from rotorsim.identification.harmonic.drifting import likelihood_of
+from rotorsim.identification.harmonic.experiment import Experiment
+from rotorsim.identification.harmonic.likelihood import Evaluation, Likelihood
 
 UNSETTLED = "it has no settled motion in the runs that were fitted"
 BOUND_TOLERANCE = 1e-9  # relative: such a parameter takes no part in linear theory

@@ -20,8 +20,8 @@ from rotorsim.diagnosis.evidence.fit import FAILURES, Fit
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
-from rotorsim.identification.experiment import open_experiment
-from rotorsim.identification.likelihood import Likelihood
+from rotorsim.identification.harmonic.experiment import open_experiment
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.signals.converters import before_converters
 from rotorsim.signals.harmonics import RunHarmonics
 from rotorsim.units import format_quantity

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.identification.experiment import Experiment
+from rotorsim.identification.harmonic.experiment import Experiment
 
 
 def unsettled(experiment: Experiment) -> list[int]:

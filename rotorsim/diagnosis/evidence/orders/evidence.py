@@ -24,7 +24,7 @@ from rotorsim.diagnosis.evidence.orders.separation import best_change
 from rotorsim.diagnosis.evidence.orders.whiteness import whiteness_of
 from rotorsim.diagnosis.evidence.validated import Validated
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.coordinates import ANGLE_UNIT
+from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
 from rotorsim.identification.waveform.noise import stacked
 from rotorsim.identification.waveform.order_tracking import TrackedOrders, tracked_orders, vectors_of
 from rotorsim.identification.waveform.search import Evaluation

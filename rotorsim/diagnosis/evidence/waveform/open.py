@@ -15,7 +15,7 @@ from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.diagnosis.evidence.waveform.turning import TurningEvidence
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
-from rotorsim.identification.coordinates import ANGLE_UNIT
+from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
 from rotorsim.identification.waveform.along_angle import (
     along_angle,
     lateness,

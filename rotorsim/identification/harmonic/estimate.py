@@ -14,9 +14,9 @@ from scipy.stats import chi2
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.coordinates import ANGLE_UNIT, Coordinates, coordinates_of
-from rotorsim.identification.experiment import Experiment
-from rotorsim.identification.likelihood import Evaluation
+from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT, Coordinates, coordinates_of
+from rotorsim.identification.harmonic.experiment import Experiment
+from rotorsim.identification.harmonic.likelihood import Evaluation
 from rotorsim.model.heard import BARRED, barred, gives_up, surviving
 
 TURN = 2 * np.pi

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from rotorsim.identification.experiment import Experiment
-from rotorsim.identification.likelihood import Evaluation, Likelihood
-from rotorsim.identification.whitening import harmonics_of_time
+from rotorsim.identification.harmonic.experiment import Experiment
+from rotorsim.identification.harmonic.likelihood import Evaluation, Likelihood
+from rotorsim.identification.harmonic.whitening import harmonics_of_time
 from rotorsim.settled.growing import DEGREES, Machine, forces
 from rotorsim.settled.motion import Prediction
 from rotorsim.settled.nonlinear import NonlinearMotion

@@ -11,7 +11,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
-from rotorsim.identification.whitening import harmonics_of_time
+from rotorsim.identification.harmonic.whitening import harmonics_of_time
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run

@@ -18,8 +18,8 @@ from functools import cached_property
 import numpy as np
 
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.experiment import Experiment
-from rotorsim.identification.whitening import harmonics_of_time, whitened_at, whitener_of
+from rotorsim.identification.harmonic.experiment import Experiment
+from rotorsim.identification.harmonic.whitening import harmonics_of_time, whitened_at, whitener_of
 from rotorsim.settled.motion import Prediction, Response
 from rotorsim.signals.covariance import real_columns, real_vector
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorsim.block import In
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.experiment import Experiment
+from rotorsim.identification.harmonic.experiment import Experiment
 from rotorsim.linear.linearisation import can_move, entry_names
 from rotorsim.model.compiled import Model
 from rotorsim.settled.equations import Equations

@@ -15,9 +15,9 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.experiment import Experiment, open_experiment
-from rotorsim.identification.likelihood import Evaluation
-from rotorsim.identification.reduction import conjugates_of, reduced
+from rotorsim.identification.harmonic.experiment import Experiment, open_experiment
+from rotorsim.identification.harmonic.likelihood import Evaluation
+from rotorsim.identification.harmonic.reduction import conjugates_of, reduced
 from rotorsim.linear.linearisation import can_move, entry_names, flat_names
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.recordings.recording import ANGLE, TACHO, Recording, Run

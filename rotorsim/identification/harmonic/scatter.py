@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.identification.estimate import Estimate, Search
-from rotorsim.identification.regression import Regression
-from rotorsim.identification.whitening import noise_root
+from rotorsim.identification.harmonic.estimate import Estimate, Search
+from rotorsim.identification.harmonic.regression import Regression
+from rotorsim.identification.harmonic.whitening import noise_root
 from rotorsim.signals.covariance import complex_values
 
 DRAWS = 40

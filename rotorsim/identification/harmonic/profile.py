@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorsim.criteria import Z90
 from rotorsim.errors import RotorsimError
-from rotorsim.identification.estimate import Estimate, Search
+from rotorsim.identification.harmonic.estimate import Estimate, Search
 from rotorsim.model.heard import gives_up, remark
 
 PARABOLA_TOLERANCE = 0.02  # the profile agrees so well with a parabola that its end points are those of the parabola
