@@ -55,7 +55,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _score(arguments: argparse.Namespace) -> int:
-    from benchmarks.concealed import score, tables
+    from benchmarks.concealed.scores import score, tables
 
     if len(arguments.sets) % 2:
         raise ValueError(f"{arguments.sets[-1]}: no folder of its diagnoses; hint: FOLDER DIAGNOSES, for each set")
@@ -71,7 +71,7 @@ def _score(arguments: argparse.Namespace) -> int:
 
 
 def _compare(arguments: argparse.Namespace) -> int:
-    from benchmarks.concealed import comparison
+    from benchmarks.concealed.scores import comparison
 
     result = comparison.compare_folders(Path(arguments.before), Path(arguments.after), arguments.common)
     print(json.dumps(result, indent=1) if arguments.json else comparison.text(result))
@@ -79,7 +79,7 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 
 def _compact(arguments: argparse.Namespace) -> int:
-    from benchmarks.concealed import compact
+    from benchmarks.concealed.scores import compact
 
     written = compact.write_lines(Path(arguments.diagnoses), Path(arguments.file))
     print(f"{written} diagnoses in {arguments.file}")
@@ -87,7 +87,7 @@ def _compact(arguments: argparse.Namespace) -> int:
 
 
 def _shares(arguments: argparse.Namespace) -> int:
-    from benchmarks.concealed import calibrate
+    from benchmarks.concealed.scores import calibrate
 
     found = calibrate.shares(Path(arguments.folder), Path(arguments.diagnoses))
     print(json.dumps(found, indent=1) if arguments.json else calibrate.text(found))

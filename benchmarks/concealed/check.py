@@ -9,11 +9,11 @@ import numpy as np
 
 from benchmarks.concealed import generator
 from benchmarks.concealed.detect import detectability
-from benchmarks.concealed.faults import ALIASES, OUTSIDE, ROWS, Draw, Fault
-from benchmarks.concealed.loop import late
 from benchmarks.concealed.machine_fe import bare_frequencies
 from benchmarks.concealed.machines import GAINS, MACHINES
 from benchmarks.concealed.measuring import Instruments
+from benchmarks.concealed.rows.faults import ALIASES, OUTSIDE, ROWS, Draw, Fault
+from benchmarks.concealed.rows.loop import late
 from benchmarks.concealed.simulate import Accuracy, Motion, Simulation
 
 FINE = Accuracy(16, 2)

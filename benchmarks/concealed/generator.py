@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.concealed import loop, mechanical, outside, sensors
 from benchmarks.concealed.detect import detectability
-from benchmarks.concealed.faults import ALIASES, OUTSIDE, ROWS, Draw, Entry, Fault
 from benchmarks.concealed.machines import DRAWN, GAINS, MACHINES, PLAIN
 from benchmarks.concealed.measuring import Instruments, draw_instruments
 from benchmarks.concealed.plant import Gains
+from benchmarks.concealed.rows import loop, mechanical, outside, sensors
+from benchmarks.concealed.rows.faults import ALIASES, OUTSIDE, ROWS, Draw, Entry, Fault
 from benchmarks.concealed.simulate import Motion, Run, Simulation
 
 _ = (loop, mechanical, outside, sensors)  # they enter their rows

@@ -7,8 +7,8 @@ import numpy as np
 from benchmarks.concealed import generator
 from benchmarks.concealed.check import drawn, scene
 from benchmarks.concealed.detect import detectability
-from benchmarks.concealed.faults import OUTSIDE, ROWS, Entry, Fault
 from benchmarks.concealed.measuring import Instruments
+from benchmarks.concealed.rows.faults import OUTSIDE, ROWS, Entry, Fault
 from benchmarks.concealed.simulate import Motion, Run, Simulation
 from benchmarks.concealed.sites import SITES, WORDS
 

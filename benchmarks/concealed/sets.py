@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.concealed.compact import TIMES, read_diagnoses
 from benchmarks.concealed.generator import KINDS, MIX, make_case
 from benchmarks.concealed.machines import MACHINES
+from benchmarks.concealed.scores.compact import TIMES, read_diagnoses
 from benchmarks.concealed.writing import write_case
 
 GROUPS = {"both": ("jeffcott", "fe_rigid"), "beams": ("fe_rigid", "fe_flexible", "two_amb_rotor")}

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from benchmarks.concealed.__main__ import main
-from benchmarks.concealed.compact import compact, read_diagnoses
+from benchmarks.concealed.scores.compact import compact, read_diagnoses
 
 DIAGNOSIS: dict[str, Any] = {
     "verdict": "missing_physics",

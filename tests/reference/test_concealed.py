@@ -16,15 +16,16 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh, eigvals
 from threadpoolctl import threadpool_limits
 
-from benchmarks.concealed import generator, score, sets, tables
+from benchmarks.concealed import generator, sets
 from benchmarks.concealed.__main__ import main
 from benchmarks.concealed.check import difference, drawn, scene
 from benchmarks.concealed.core import Core
 from benchmarks.concealed.detect import detectability
-from benchmarks.concealed.loop import late
 from benchmarks.concealed.machine_fe import bare_frequencies
 from benchmarks.concealed.machines import fe_rigid
 from benchmarks.concealed.measuring import Instruments
+from benchmarks.concealed.rows.loop import late
+from benchmarks.concealed.scores import score, tables
 from benchmarks.concealed.simulate import Accuracy, Run, Simulation
 from benchmarks.concealed.writing import write_case
 

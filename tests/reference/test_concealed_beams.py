@@ -13,7 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from threadpoolctl import threadpool_limits
 
-from benchmarks.concealed import generator, machines, score, sets
+from benchmarks.concealed import generator, machines, sets
 from benchmarks.concealed.check import drawn, scene
 from benchmarks.concealed.core import Core
 from benchmarks.concealed.detect import detectability
@@ -21,6 +21,7 @@ from benchmarks.concealed.healthy import ORDERS, Healthy
 from benchmarks.concealed.machines import FREE, MACHINES, nominal, nominal_parameters
 from benchmarks.concealed.measuring import Instruments
 from benchmarks.concealed.plant import Plant
+from benchmarks.concealed.scores import score
 from benchmarks.concealed.simulate import Run, Simulation
 from benchmarks.concealed.sites import SITES
 from benchmarks.concealed.writing import write_case

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from benchmarks.concealed import score, tables
 from benchmarks.concealed import sets as runs_of_sets
+from benchmarks.concealed.scores import score, tables
 from benchmarks.generic import generator, measuring, sets
 from benchmarks.generic.__main__ import main
 from benchmarks.generic.effects import Effect, effects_of

@@ -2,7 +2,7 @@
 
 import json
 
-from benchmarks.concealed.calibrate import shares, text
+from benchmarks.concealed.scores.calibrate import shares, text
 
 
 def test_right_rows_imitators_and_healthy_machines_are_told_apart(tmp_path):

@@ -7,8 +7,8 @@ from math import log, remainder
 from pathlib import Path
 from typing import Any
 
-from benchmarks.concealed.compact import read_diagnoses
-from benchmarks.concealed.meaning import FREE, compare
+from benchmarks.concealed.scores.compact import read_diagnoses
+from benchmarks.concealed.scores.meaning import FREE, compare
 
 OUTSIDE = "outside_catalogue"
 DECADES = ((0.0, 100.0), (100.0, 1000.0), (1000.0, float("inf")))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.concealed.faults import ROWS, Array, Draw, Fault, row
 from benchmarks.concealed.integrator import Nodes
 from benchmarks.concealed.plant import Plant
+from benchmarks.concealed.rows.faults import ROWS, Array, Draw, Fault, row
 from benchmarks.concealed.simulate import Clock
 
 

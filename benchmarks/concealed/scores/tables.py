@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from statistics import median
 from typing import Any
 
-from benchmarks.concealed.compact import STOPPED
-from benchmarks.concealed.score import DECADES
+from benchmarks.concealed.scores.compact import STOPPED
+from benchmarks.concealed.scores.score import DECADES
 
 
 def interval(hits: int, of: int, level: float = 0.95) -> tuple[float, float]:

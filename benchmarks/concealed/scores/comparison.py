@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.concealed.compact import compact, read_diagnoses
+from benchmarks.concealed.scores.compact import compact, read_diagnoses
 
 __all__ = ["RELATIVE", "compare_diagnoses", "compare_folders", "text"]
 

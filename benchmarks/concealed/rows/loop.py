@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.concealed.faults import ALIASES, ROWS, Array, Draw, Fault, per_axis, row
 from benchmarks.concealed.integrator import Nodes
 from benchmarks.concealed.plant import Bearing, CurrentPath, Plant
+from benchmarks.concealed.rows.faults import ALIASES, ROWS, Array, Draw, Fault, per_axis, row
 from benchmarks.concealed.simulate import Clock
 
 PADE = 8

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from benchmarks.concealed.compact import read_diagnoses
+from benchmarks.concealed.scores.compact import read_diagnoses
 
 __all__ = ["shares", "text"]
 

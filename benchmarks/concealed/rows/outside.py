@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.concealed.faults import OUTSIDE, Array, Draw, Fault, row
 from benchmarks.concealed.integrator import Nodes
 from benchmarks.concealed.machines import SHAFT_STIFFNESS
 from benchmarks.concealed.plant import Plant
+from benchmarks.concealed.rows.faults import OUTSIDE, Array, Draw, Fault, row
 from benchmarks.concealed.simulate import Clock
 
 NAME = "outside_catalogue"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.concealed.faults import ROWS, Array, Draw, Fault, row
 from benchmarks.concealed.integrator import Nodes
 from benchmarks.concealed.machines import MASS, SAG, SHAFT_STIFFNESS
 from benchmarks.concealed.plant import Plant, switching
+from benchmarks.concealed.rows.faults import ROWS, Array, Draw, Fault, row
 from benchmarks.concealed.simulate import TURN, Clock, base_forces
 
 SLIP = 5e-6  # m/s: below this speed friction is viscous

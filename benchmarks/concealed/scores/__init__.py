@@ -1,0 +1,1 @@
+"""Diagnoses judged against the truth, summed up, and compared with one another."""
