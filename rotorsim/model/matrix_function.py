@@ -93,11 +93,15 @@ class MatrixFunction:
 
     def __call__(self, *columns: Any) -> np.ndarray:
         """Return values, shape (n, rows, columns); each argument is a column or n columns side by side."""
-        n = max((np.shape(c)[1] for c in columns if np.ndim(c) == 2), default=1)
-        out = np.zeros((n, *self.shape))
-        if len(self.rows):
-            out[:, self.rows, self.columns] = self._nonzeros(n, columns)
+        found = self.entries(*columns)
+        out = np.zeros((len(found), *self.shape))
+        out[:, self.rows, self.columns] = found
         return out
+
+    def entries(self, *columns: Any) -> np.ndarray:
+        """Return the entries that are not zero everywhere, (n, nnz), see ``rows`` and ``columns``."""
+        n = max((np.shape(c)[1] for c in columns if np.ndim(c) == 2), default=1)
+        return self._nonzeros(n, columns) if len(self.rows) else np.zeros((n, 0))
 
     def _nonzeros(self, n: int, columns: tuple[Any, ...]) -> np.ndarray:
         """Return the nonzeros, (n, nnz); CasADi reads and writes the arrays' own memory, which lie column by column."""

@@ -37,6 +37,15 @@ class Matrix:
             out[:, self.value.rows, self.value.columns] = self.derivative(p.T, theta.T)
         return values, out
 
+    def slopes(self, p: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives of columns that are not zero, each by one parameter, (R, rows, N), and whose, (N,)."""
+        rows, m = self.derivative.rows, theta.shape[1]
+        pairs, at = np.unique(self.value.columns[rows] * m + self.derivative.columns, return_inverse=True)
+        out = np.zeros((len(p), self.value.shape[0], len(pairs)))
+        out[:, self.value.rows[rows], at] = self.derivative.entries(p.T, theta.T)
+        moving = np.any(out, axis=(0, 1))
+        return out[:, :, moving], pairs[moving] // max(m, 1)
+
 
 class Together:
     """Several matrices, evaluated in one call: they have most of their terms in common."""

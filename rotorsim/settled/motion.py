@@ -318,10 +318,11 @@ class LinearMotion(SettledMotion):
         for _ in range(PARAMETER_POINTS):
             other = theta * (1 + PARAMETER_SPREAD * rng.uniform(-1, 1, len(theta))) + PARAMETER_SPREAD * (theta == 0)
             many = np.repeat(other[None], len(p), 0)
-            A_there, dA = part.matrices["A"](p, many)
-            B, C = (part.values(key, p, other) for key in "BC")
-            columns += [np.any(matrix, axis=(0, 1)) for matrix in (A_there - A, np.any(dA, axis=3), C)]
-            moved += [_columns(matrix) for matrix in (B, dA)]
+            A_there, B, C = (part.values(key, p, other) for key in "ABC")
+            slopes, own = part.matrices["A"].slopes(p, many)
+            columns += [np.any(matrix, axis=(0, 1)) for matrix in (A_there - A, C)]
+            columns.append(np.isin(np.arange(part.n), own))
+            moved += [_columns(matrix) for matrix in (B, slopes)]
         seen = np.flatnonzero(np.any(columns, axis=0))
         ports = open_ports(A, self.grid(self.K), self.slow_states(theta), seen, moved)
         return ports, self.equations.at_ports(ports.rows, ports.columns)

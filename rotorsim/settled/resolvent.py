@@ -99,15 +99,16 @@ class DynamicStiffness:
         X = self._solved(F)
         A_X = product(self.A, X.transpose(1, 0, 2).reshape(len(self.A), -1)).reshape(len(self.A), *X[:, 0].shape)
         left = F - (self.s[: len(F), None, None] * X - A_X.transpose(1, 0, 2))
-        left[0, self.resting] = 0.0
+        left[0, self.resting], left[:, self.positions] = 0.0, 0.0  # of these, velocities are right to rounding
         return np.asarray(X + self._solved(left))
 
     def _solved(self, F: np.ndarray) -> np.ndarray:
         """Return X by the triangles as they are."""
-        X = np.zeros(F.shape, complex)
-        X[:, self.velocities] = F[:, self.positions]
-        right = F + self.s[: len(F), None, None] * X - self.A @ X
-        right[0, self.resting] = 0.0
+        X, right = np.zeros(F.shape, complex), F
+        if F[:, self.positions].any():
+            X[:, self.velocities] = F[:, self.positions]
+            right = F + self.s[: len(F), None, None] * X - self.A @ X
+            right[0, self.resting] = 0.0
         for k, factors in enumerate(self.factors[: len(F)]):
             X[k, self.columns] = zgetrs(*factors, right[k, self.rows])[0]
             X[k, self.velocities] = self.s[k] * X[k, self.positions] - F[k, self.positions]
@@ -138,10 +139,10 @@ def _leading(values: np.ndarray, axis: int, bits: int) -> np.ndarray:
 def _positions(A: np.ndarray, resting: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return states whose rate is exactly another state, and these, none of them resting, in both or twice."""
     found: dict[int, int] = {}
-    single = np.flatnonzero(np.count_nonzero(A, axis=1) == 1)
-    for i in np.setdiff1d(single, resting):
+    taken = {*resting.tolist()}
+    for i in np.flatnonzero(np.count_nonzero(A, axis=1) == 1).tolist():
         j = int(np.flatnonzero(A[i])[0])
-        free = i != j and j not in resting and j not in found.values() and j not in found and i not in found.values()
-        if A[i, j] == 1.0 and free:
-            found[int(i)] = j
+        if A[i, j] == 1.0 and i != j and i not in taken and j not in taken:
+            found[i] = j
+            taken |= {i, j}
     return np.array([*found], int), np.array([*found.values()], int)
