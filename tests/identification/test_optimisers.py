@@ -56,3 +56,26 @@ def test_where_the_first_runs_out_of_evaluations_the_second_goes_on(start, monke
     lag.evaluations = 0
     assert search.minimise(q, most=few) * lag.scale == pytest.approx([TIME, SHARE], rel=1e-4)
     assert lag.evaluations <= 2 * few * estimate.PASSES
+
+
+def test_steps_within_bounds_end_at_the_minimum_there():
+    """r = J x - b + a small bend, three optima outside: no slope inside, and outwards at the bounds."""
+    random = np.random.default_rng(3)
+    J, low, high = random.standard_normal((40, 5)), np.zeros(5), np.array([np.inf, np.inf, 1.0, np.inf, np.inf])
+    J[:, 1] = J[:, 0] + 1e-3 * J[:, 1]
+    b = J @ np.array([0.7, 0.4, 1.3, -0.2, 0.5])
+
+    def residual(x):
+        return J @ x - b + 0.01 * (J @ x) ** 2
+
+    def jacobian(x):
+        return J * (1 + 0.02 * (J @ x))[:, None]
+
+    x = estimate._bounded_steps(residual, jacobian, np.array([0.5, 0.5, 1 - 1e-7, 1e-7, 0.5]), low, high)
+    slope = jacobian(x).T @ residual(x) / np.linalg.norm(jacobian(x), axis=0)
+    assert x == pytest.approx(np.clip(x, low, high), abs=0)
+    assert x[1:4] == pytest.approx([0.0, 1.0, 0.0], abs=1e-15)
+    assert slope[1] > 0
+    assert slope[2] < -1
+    assert slope[3] > 1
+    assert np.abs(slope[[0, 4]]).max() < 1e-6

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 from scipy.stats import chi2
 
 from rotorsim.criteria import CRITERIA
@@ -28,6 +29,7 @@ MOST_EVALUATIONS = 60
 SEARCH_METHODS = ("trf", "dogbox")  # the first creeps in curved valleys near a bound: the second goes on from there
 PASSES = 3  # of both, where neither has converged
 GAIN = 1e-4  # of the misfit, that a pass must gain for another to follow
+BOUNDED_STEPS = 8
 FLAT = 1e-9  # of the largest singular value: below, derivatives by differences (4e-11) say nothing of a step
 ZERO_DERIVATIVE = 1e-11  # of the largest derivative: rounding
 SINGULAR_INFORMATION = (
@@ -290,6 +292,9 @@ class Search:
                 failed.append(error)
                 return np.full(rows, np.inf)
 
+        def slopes(part: np.ndarray) -> np.ndarray:
+            return self.jacobian(full(part))[:, moving]
+
         width = np.where(np.isfinite(high - low), high - low, 1.0)
         inside = np.clip(q, low + 1e-9 * width, high - 1e-9 * width)
         part, least = inside[moving], np.inf
@@ -298,7 +303,7 @@ class Search:
             found = least_squares(
                 tried,
                 part,
-                lambda q: self.jacobian(full(q))[:, moving],
+                slopes,
                 bounds=(low[moving], high[moving]),
                 method=method,
                 x_scale="jac",
@@ -308,6 +313,8 @@ class Search:
                 max_nfev=most,
             )
             part = found.x
+            if found.status == 0 and len(passes) > 1:
+                part = _bounded_steps(tried, slopes, part, low[moving], high[moving])
             over = (k + 1) % len(SEARCH_METHODS) == 0
             if found.status > 0 or (over and found.cost > (1 - GAIN) * least):
                 break
@@ -324,6 +331,32 @@ class Search:
             if r @ r - left @ left > BARRED and len(failed) > before:
                 raise barred(failed[-1])
         return q
+
+
+def _bounded_steps(
+    residual: Callable[[np.ndarray], np.ndarray],
+    jacobian: Callable[[np.ndarray], np.ndarray],
+    x: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+) -> np.ndarray:
+    """Return where Gauss-Newton steps lead, each the solution of the linear problem within bounds, while they gain.
+
+    Beside a bound both methods shorten every step to the distance from it.
+    """
+    r = residual(x)
+    for _ in range(BOUNDED_STEPS):
+        J = jacobian(x)
+        size = np.linalg.norm(J, axis=0)
+        if not (np.isfinite(J).all() and size.all()):
+            break
+        step = lsq_linear(J / size, -r, ((low - x) * size, (high - x) * size), method="bvls").x / size
+        there = np.clip(x + step, low, high)
+        left = residual(there)
+        if not left @ left < (1 - COST_TOLERANCE) * (r @ r):
+            break
+        x, r = there, left
+    return x
 
 
 def estimate(search: Search, start: np.ndarray | None = None, *, tries: int = 3) -> Estimate:
