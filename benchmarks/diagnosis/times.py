@@ -6,7 +6,7 @@ set names for its cases (benchmarks/generic), or one for all.
 
   python -m benchmarks.diagnosis.times ../shared/recordings
   python -m benchmarks.diagnosis.times ../shared/recordings/generic --sets development --most 40
-  python -m benchmarks.diagnosis.times ../shared/recordings --sets runup_development --diagram jeffcott --most 90
+  python -m benchmarks.diagnosis.times RECORDINGS --sets runup_development --most 90 --only rdev05_beam_nothing
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ class DynamicStiffness:
 
     What is left is K_0 + s K_1 + s^2 K_2 of half the states (an eighth of the work, a quarter of the memory). On fine
     meshes A is of the order of 1e16 1/s^2, and s^2 drowns in its rounding: one step of iterative refinement, on a
-    residual to more than double precision (`product`), makes X as exact as its digits (Higham 2002, sec. 12.1).
+    residual to more than double precision (`product`), makes X right to double precision (Higham 2002, sec. 12.1).
 
     positions, velocities: i and j. rows, columns: of s I - A that are left. factors: of every s, in triangles.
     """
