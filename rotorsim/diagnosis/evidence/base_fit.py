@@ -15,7 +15,7 @@ from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagram.diagram import Diagram
 
 FINEST = 8
-CONVERGED = 256  # of the square of what meshes get wrong, by half the length: cubic elements err with its fourth power
+BY_HALVING = 256  # of the square of what meshes get wrong, by half the length: cubic elements err with its fourth power
 
 
 def with_uncertain(diagram: Diagram) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def base_fit(diagram: Diagram, evidence: Evidence) -> tuple[Fit, list[str]]:
                 break
             found, level = finer, 2 * level
             notes.append(f"{name}: {option} {level}, for what the coarser mesh gets wrong shows in these data")
-            if level >= FINEST and change > CONVERGED * CRITERIA.mesh_visible:
+            if level >= FINEST and change > BY_HALVING * CRITERIA.mesh_visible:
                 notes[-1] += "; a finer one would show, too"
     return found, notes[-1:]
 
