@@ -183,6 +183,25 @@ def test_a_value_is_set_undone_and_done_again(at: Served, open_page: Open, mine:
     changed(mine, lambda document: document["blocks"]["rotor"]["parameters"]["mass"] == "3 kg")
 
 
+def test_a_value_typed_before_the_page_is_painted_is_kept(at: Served, open_page: Open, mine: Path) -> None:
+    page = open_page(at)
+    page.evaluate(
+        """async () => {
+          const find = (name) => document.querySelector(`[data-testid="${name}"]`);
+          const drawn = async () => { for (let k = 0; k < 20; k++) await null; };  // not painted
+          window.requestAnimationFrame = () => 0;
+          find("block-rotor").focus();
+          await drawn();
+          const field = find("param-rotor.mass");
+          field.value = "3 kg";
+          field.dispatchEvent(new InputEvent("input", { bubbles: true }));
+          await drawn();
+          field.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
+        }"""
+    )
+    changed(mine, lambda document: document["blocks"]["rotor"]["parameters"]["mass"] == "3 kg")
+
+
 def test_an_edit_whose_answer_is_lost_can_be_undone(
     at: Served, open_page: Open, mine: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

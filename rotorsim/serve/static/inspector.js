@@ -19,16 +19,13 @@ export function meant(given) {
 // A name that may be folded behind its underlines.
 const broken = (name) => name.split("_").map((part, k) => (k ? html`_<wbr />${part}` : part));
 
-// A field of a value: checked while it is typed, written when it is left or Enter is pressed.
+// A field of a value: checked while it is typed, written when it is left or Enter is pressed. Its key is its name: what
+// is typed is never cleared for another name, since effects run after painting, and so after the first key.
 export function Field({ name, label, item, more, fixed }) {
   const shown = item.written !== null && item.written !== undefined ? text(item.written) : "";
   const [typed, type] = useState(null);
   const [wrong, say] = useState(null);
   const sent = useRef(null); // the text that is being written, or was refused
-  useEffect(() => {
-    type(null);
-    say(null);
-  }, [name]);
   useEffect(() => {
     if (typed === null || typed === shown || typed === "") return say(null);
     const timer = setTimeout(async () => {
