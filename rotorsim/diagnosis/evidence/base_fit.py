@@ -62,7 +62,7 @@ def base_fit(diagram: Diagram, evidence: Evidence) -> tuple[Fit, list[str]]:
             change = _change(found, evidence, name, option, 2 * level)
             if change <= CRITERIA.mesh_visible:
                 break
-            finer = evidence.fit(_with_option(found.document, name, option, 2 * level), [])
+            finer = evidence.fit(_with_option(found.document, name, option, 2 * level), [[dict(found.values)]])
             if finer.failure:
                 break
             found, level = finer, 2 * level

@@ -15,9 +15,12 @@ class Meshes:
 
     def __init__(self, error: float) -> None:
         self.error = error
+        self.starts = []
 
     def fit(self, document, starts):
-        return SimpleNamespace(document=document, values={}, failure="", rows=2000)
+        self.starts.append(starts)
+        values = {"rotor.mass": float(len(self.starts))}
+        return SimpleNamespace(document=document, values=values, failure="", rows=2000)
 
     def residual(self, document):
         parts = document["blocks"]["rotor"]["parameters"].get("subdivisions", 1)
@@ -47,6 +50,12 @@ def test_a_mesh_is_refined_until_a_finer_one_changes_a_standard_deviation(error,
     assert parts == level
     told = f"rotor: subdivisions {level}, for what the coarser mesh gets wrong shows in these data"
     assert notes == ([] if level == 1 else [told])
+
+
+def test_a_finer_mesh_is_fitted_from_the_coarser_fit():
+    meshes = Meshes(17.1)
+    base_fit(load("fe_rigid"), meshes)
+    assert meshes.starts == [[], [[{"rotor.mass": 1.0}]], [[{"rotor.mass": 2.0}]]]
 
 
 def test_what_the_finest_mesh_leaves_is_said():

@@ -9,6 +9,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, Fit, Starts, failed_fit
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
@@ -16,7 +17,7 @@ from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
 from rotorsim.identification.harmonic.drifting import LaggingLikelihood, likelihood_of
 from rotorsim.identification.harmonic.estimate import MOST_EVALUATIONS, Estimate, Search, summary
 from rotorsim.identification.harmonic.experiment import Experiment
-from rotorsim.identification.harmonic.likelihood import Likelihood
+from rotorsim.identification.harmonic.likelihood import Evaluation, Likelihood
 from rotorsim.identification.harmonic.profile import linear_intervals
 from rotorsim.identification.left_out import RANK_TOLERANCE, left_out
 from rotorsim.model.heard import surviving
@@ -28,8 +29,8 @@ LINEAR_EVALUATIONS = 12  # for one of a nonlinear diagram
 FOLLOWED_FROM = 15  # evaluations after which what leaves too much is no rival
 LINEAR_STARTS = 2  # that are followed to the end
 LINEAR_FOLLOWED = 4  # one more of a group, from the most promising on, for so many starts that a fault declares
-CORNERS, SHARP_EVALUATIONS = 20.0, 8  # misfit over equations that more orders of a law with corners may explain
-EXPLAINS = 1.2  # times the number of equations: a misfit that no other start could lower by much
+CORNERS, SHARP_EVALUATIONS = 20.0, 8  # misfit per degree of freedom that more orders of a law with corners explain
+LEAST_LEVEL = 0.1  # probability of a larger misfit by noise alone, from which on no other start is followed
 TURN = 2 * np.pi
 ROUNDED = 1e6  # parts of a radian in which angles are compared
 
@@ -59,7 +60,7 @@ def fit_document(
             return Fit(document, failure=DEFERRED, nonlinear=True, seconds=process_time() - began)
         search = Search(runs.likelihood(experiment))
         best = _best(search, experiment, starts, most, beyond)
-        if nonlinear and most is None and EXPLAINS < best.misfit / max(best.evaluation.rows, 1) < CORNERS:
+        if nonlinear and most is None and not _is_least(best.evaluation) and best.excess < CORNERS:
             best = _sharpened(search, best, runs)
     except FAILURES as error:
         return failed_fit(document, error, nonlinear=nonlinear, seconds=process_time() - began)
@@ -156,8 +157,6 @@ def _best(search: Search, experiment: Experiment, starts: Starts, most: int | No
     chosen: list[np.ndarray] = []
     assert isinstance(search.likelihood, Likelihood)
     ranking = search.again(search.likelihood.rough())
-    if not nonlinear and (most is None or not starts):  # a step costs little: look all around for unknown angles
-        chosen += search.starts()[:LINEAR_STARTS]
     for group in starts or ([[{}]] if nonlinear else []):
         trials = _different([t for start in group for t in _trials(search, experiment.theta0, start)], search)
         if nonlinear:
@@ -165,6 +164,8 @@ def _best(search: Search, experiment: Experiment, starts: Starts, most: int | No
         steps = surviving(lambda theta: ranking.force_step(search.coordinates.inside(theta), []), trials)
         ranked = sorted((item for item in steps if np.isfinite(item[0])), key=lambda item: item[0])
         chosen += [q for _, q in ranked[: 1 if nonlinear else 1 + len(group) // LINEAR_FOLLOWED]]
+    if not nonlinear and (most is None or not starts):  # a step costs little: look all around for unknown angles
+        chosen += search.starts()[:LINEAR_STARTS]
     best: np.ndarray | None = None
     least = np.inf
     limit = MOST_EVALUATIONS if most is None else most if nonlinear else LINEAR_EVALUATIONS * most
@@ -185,11 +186,16 @@ def _best(search: Search, experiment: Experiment, starts: Starts, most: int | No
         cost = float(r @ r) * search.preference(found)
         if cost < least * (1 - 1e-9):
             best, least = found, cost
-        if search.evaluation(found).misfit.sum() < EXPLAINS * search.evaluation(found).rows:
+        if _is_least(search.evaluation(found)):
             break
     if best is None:
         raise ValueError("no periodic motion was found")
     return summary(search, best)
+
+
+def _is_least(found: Evaluation) -> bool:
+    """Return whether noise alone leaves as much as a minimum does, so that there is hardly a lower one."""
+    return float(chi2.sf(found.misfit.sum(), max(found.rows, 1))) > LEAST_LEVEL
 
 
 def _sharpened(search: Search, best: Estimate, runs: HarmonicRuns) -> Estimate:
