@@ -229,12 +229,24 @@ class Tangent:
 
     value: np.ndarray
     slopes: np.ndarray
+    __array_ufunc__ = None  # M @ tangent is asked of the tangent
 
-    def __matmul__(self, other: Tangent) -> Tangent:
+    def __matmul__(self, other: Tangent | np.ndarray) -> Tangent:
+        if isinstance(other, np.ndarray):
+            return Tangent(self.value @ other, self.slopes @ other)
         return Tangent(self.value @ other.value, self.slopes @ other.value + self.value @ other.slopes)
 
-    def __add__(self, other: Tangent) -> Tangent:
+    def __rmatmul__(self, other: np.ndarray) -> Tangent:
+        return Tangent(other @ self.value, other @ self.slopes)
+
+    def __add__(self, other: Tangent | np.ndarray) -> Tangent:
+        if isinstance(other, np.ndarray):
+            return Tangent(self.value + other, self.slopes)
         return Tangent(self.value + other.value, self.slopes + other.slopes)
+
+    def part(self, rows: slice | list[int] = slice(None), columns: slice | list[int] = slice(None)) -> Tangent:
+        """Return some rows and columns."""
+        return Tangent(*(of[..., rows, :][..., columns] for of in (self.value, self.slopes)))
 
     def times(self, factor: float | np.ndarray) -> Tangent:
         """Return a multiple."""

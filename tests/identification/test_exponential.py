@@ -1,5 +1,7 @@
 """Exponential steps of a turning shaft: against SciPy's integration, their order, derivatives, and fallbacks."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -7,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 from rotorsim.identification.waveform.driven import exponential
 from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
-from rotorsim.identification.waveform.driven.exponential import Split
 from rotorsim.identification.waveform.driven.simulation import Simulation
+from rotorsim.identification.waveform.driven.split import Split
 from rotorsim.model.linearity import semi_linear
 from rotorsim.model.load import load
 
@@ -137,7 +139,7 @@ def test_blocks_of_samples_follow_a_shaft_that_runs_up_fast(equations, monkeypat
 def test_what_changes_with_the_angle_or_is_not_linear_is_a_law(equations):
     split = Split.of(equations)
     assert (split.laws, [equations.inputs[k] for k in split.slow]) == (2, ["clock.speed"])
-    assert split.q.numel() == 5  # the force of the spring and the unbalance in x and y, and 1
+    assert split.r == 5  # the force of the spring and the unbalance in x and y, and 1
 
 
 def test_no_shaft_no_compiler_or_a_run_that_diverges(equations, monkeypatch):
@@ -167,3 +169,38 @@ def test_a_semi_linear_form_is_the_same_expression():
     for point in np.random.default_rng(1).normal(size=(5, 5)):
         given = point[:2], point[2], point[3], abs(point[4])
         np.testing.assert_allclose(both[0](*given), both[1](*given), rtol=1e-14)
+
+
+SHAFT = {
+    **ROTOR,
+    "name": "shaft",
+    "blocks": {
+        "clock": {"type": "clock", "parameters": {"speed": SPEED}},
+        "rotor": load("fe_rigid").document["blocks"]["rotor"],
+        "unbalance": {"type": "unbalance", "parameters": {"mass": 2.0, "eccentricity": 1e-3, "phase": 0.0}},
+        "spring": {"type": "cubic_stiffness", "parameters": {"stiffness": 1e11}},
+    },
+    "wires": [[end.replace("rotor.force", "rotor.force[3]") for end in wire] for wire in ROTOR["wires"]],
+    "identify": {"rotor.disc_damping[1]": {}, "unbalance.eccentricity": {}, "spring.stiffness": {}},
+}
+SHAFT["wires"][5] = ["rotor.displacement[3]", "spring.displacement"]
+
+
+def test_modes_that_are_left_out_of_matrices_are_those_left_out_of_expressions():
+    """Half of the modes of a shaft with a spring whose law they feel: displacements, velocities, derivatives."""
+    diagram, rng = load(SHAFT), np.random.default_rng(3)
+    outputs = ["rotor.displacement[2,1]", "rotor.displacement[3,2]", "rotor.velocity[3,1]"]
+    equations = driven_equations(diagram, outputs, INPUTS, diagram.free, fastest=2e4)
+    structure = equations.structure
+    assert (equations.n, len(structure.whole)) == (20, 40)
+    p, v = equations.parameters(equations.model.p0, np.array([50.0, 1e-3, 1e11])), driven(SAMPLES, 4)
+    start = 1e-4 * rng.normal(size=equations.n) * np.where(structure.kept < 20, 1.0, 100.0)
+    own, expressions = Simulation(equations), Simulation(replace(equations, structure=None))
+    (y, dy), (z, dz) = (one.in_exponential_steps(p, start, v, DT) for one in (own, expressions))
+    assert np.abs(y - z).max(axis=0) == pytest.approx(np.zeros(3), abs=1e-6 * np.abs(z).max(axis=0).min())
+    assert (np.abs(dy - dz).max(axis=(0, 1)) < 1e-6 * np.abs(dz).max(axis=(0, 1))).all()
+    without = equations.parameters(equations.model.p0, np.array([50.0, 1e-3, 0.0]))
+    assert np.abs(own.in_exponential_steps(without, start, v, DT)[0] - y).max() > 0.1 * np.abs(y).max()
+    at = np.zeros((1, 1)), start[:, None], v[0, 0][:, None], p[:, None]
+    exact = equations.matrices[0](*at)
+    assert np.abs(own.rates(*at) - exact).max() < 1e-3 * np.abs(exact).max()

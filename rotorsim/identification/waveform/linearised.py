@@ -238,10 +238,7 @@ def with_outputs(
     """
     given = search.systems[0].equations
     equations = driven_equations(diagram, outputs, given.inputs, diagram.free, fastest=given.fastest)
-    states = replace(
-        equations, outputs=(*outputs, *equations.state_names), g=ca.vertcat(equations.g, equations.arguments[1])
-    )
-    whole = replace(search, systems=(Simulation(states, sensitive=sensitive),))
+    whole = replace(search, systems=(Simulation(equations.with_states(outputs), sensitive=sensitive),))
     unknowns = whole.first(search.starts(evaluation.unknowns))
     unknowns[: search.m] = evaluation.unknowns[: search.m]
     return whole, unknowns

@@ -197,13 +197,14 @@ def left_over(
 
 def reweighted(search: OutputErrorSearch, start: np.ndarray) -> tuple[OutputErrorSearch, Evaluation]:
     """Return a fit and the search it is of, whose weights of the whole diagram follow the residual, in turns."""
-    for _ in range(REWEIGHTED):
-        evaluation = search.minimise(start, REFIT_EVALUATIONS)
+    evaluation = search.minimise(start, REFIT_EVALUATIONS)
+    for _ in range(REWEIGHTED - 1):
         if not np.isfinite(evaluation.cost):
             break
-        start, variance = evaluation.unknowns, residual_variance(search, evaluation)
+        variance = residual_variance(search, evaluation)
         whole = {signal: 1 / value for signal, value in variance.items() if signal[0] == WHOLE_DIAGRAM}
         search = replace(search, weights={**search.weights, **whole})
+        evaluation = search.minimise(evaluation.unknowns, REFIT_EVALUATIONS, evaluation)
     return search, evaluation
 
 

@@ -47,5 +47,4 @@ def parts_of(
 def _of_states(system: Simulation) -> Simulation:
     """Return a simulation whose outputs are its states."""
     equations = system.equations
-    states = replace(equations, outputs=equations.state_names, g=equations.arguments[1])
-    return replace(system, equations=states, sensitive=False)
+    return replace(system, equations=equations.with_states(()), sensitive=False)

@@ -70,6 +70,11 @@ def solved(H: np.ndarray, b: np.ndarray, rcond: float = 1e-12) -> np.ndarray:
     return np.asarray((scaled.T / scale).T)
 
 
+def _promised(here: Evaluation, step: np.ndarray) -> float:
+    """Return by how much the cost falls in a step if the outputs are linear in the unknowns."""
+    return -float(2 * here.gradient @ step + step @ here.information @ step)
+
+
 @dataclass(frozen=True, eq=False)
 class OutputErrorSearch:
     """Subsystems of a diagram beside R runs.
@@ -202,7 +207,7 @@ class OutputErrorSearch:
             v = np.stack([run.inputs(eq.inputs, 1)[0, 0] for run in self.runs], axis=1)
             x = np.stack([part[eq.m :] for part in own], axis=1)
             for at in (np.zeros_like(x), x):
-                A = eq.matrices[0](time[None], at, v, p)
+                A = system.rates(time[None], at, v, p)
                 good = np.isfinite(A).all(axis=(1, 2))
                 if A.size and good.any():
                     speed = np.abs(np.linalg.eigvals(A[good])).max(axis=1)
@@ -290,23 +295,31 @@ class OutputErrorSearch:
         """Whether there are laws that are not defined everywhere."""
         return any(system.equations.limited for system in self.systems)
 
-    def minimise(self, start: np.ndarray, most: int = MOST_SIMULATIONS) -> Evaluation:
+    def minimise(self, start: np.ndarray, most: int = MOST_SIMULATIONS, before: Evaluation | None = None) -> Evaluation:
         """Return the evaluation where the cost is least, as found from a start within the bounds.
 
-        On the way laws may go on beyond where they are defined; not in what is found.
+        On the way laws may go on beyond where they are defined; not in what is found. before: at the start, by other
+        weights.
         """
-        found = self.unlimited._minimised(start, most)
+        found = self.unlimited._minimised(start, most, before)
         if self.unlimited is self or np.isfinite(self.evaluate(found.unknowns, found.sub, sensitivities=False).cost):
             return found
         return self._minimised(start, most)
 
-    def _minimised(self, start: np.ndarray, most: int) -> Evaluation:
-        here = self.evaluate(start, self.substeps(start))
-        damping, calm, used = FIRST_DAMPING, 0, 1
+    def _minimised(self, start: np.ndarray, most: int, before: Evaluation | None = None) -> Evaluation:
+        sub = self.substeps(start)
+        if before is not None and before.sub == sub and np.array_equal(before.unknowns, start):
+            here = self.summed(start, sub, before.residuals, before.jacobians)
+        else:
+            here = self.evaluate(start, sub)
+        # outputs are linear in starts, but for laws that are not: their first step may be the last
+        damping, calm, used = LEAST_DAMPING if self.hold == "theta" else FIRST_DAMPING, 0, 1
         known = np.zeros(len(start))  # information on starts, the most so far: where none is left they stay
         failed = False
         while np.isfinite(here.cost) and used < most and calm < 2:
             known[self.m :] = np.maximum(known, np.diag(here.information))[self.m :]
+            if _promised(here, self._step(here, LEAST_DAMPING, known)) < SEARCH_COST_TOLERANCE * here.cost:
+                break  # of trials only their rounding would show
             step = self._step(here, damping, known)
             after = self._tried(self._moved(here.unknowns, step), here.sub)
             if not after.cost < here.cost and (weak := self._weak(here)).any():
@@ -319,7 +332,7 @@ class OutputErrorSearch:
                 damping = max(damping / 10, LEAST_DAMPING)
             else:
                 failed |= there.barred is not None
-                damping *= 10
+                damping = max(10 * damping, FIRST_DAMPING)
                 calm += damping > MOST_DAMPING or not step.any()
             used += 1
         return self._ended(here, known) if failed else here
@@ -329,8 +342,7 @@ class OutputErrorSearch:
         if not np.isfinite(here.cost):
             return here
         step = self._step(here, FIRST_DAMPING, known)
-        gain = -float(2 * here.gradient @ step + step @ here.information @ step)
-        beyond = self._tried(self._moved(here.unknowns, step), here.sub) if gain > BARRED else here
+        beyond = self._tried(self._moved(here.unknowns, step), here.sub) if _promised(here, step) > BARRED else here
         return replace(here, barred=beyond.barred)
 
     def _tried(self, unknowns: np.ndarray, sub: int, sensitivities: bool = False) -> Evaluation:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -14,10 +14,10 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.driven.domain import AT_ZERO, continued
-from rotorsim.identification.waveform.driven.slow_modes import reduced
+from rotorsim.identification.waveform.driven.slow_modes import Structure, structure_of
 from rotorsim.linear import linearisation as linear
 from rotorsim.model.compiled import Model, compile_diagram
-from rotorsim.model.linearity import is_affine, jacobian
+from rotorsim.model.linearity import is_affine, jacobian, pattern
 from rotorsim.model.matrix_function import MatrixFunction
 from rotorsim.settled.equations import reached_states, slots_of
 
@@ -97,7 +97,8 @@ class DrivenEquations:
     v, p. f (n,), g (c,). fastest: frequency [rad/s] of modes beyond which only their flexibility stays
     (`rotorsim.identification.waveform.driven.slow_modes`); None: all stay. begun: expressions of where states begin,
     {state: of the arguments} (`State.begins`). limited: whether p has a last entry, the least argument of laws that are
-    not defined below zero (`rotorsim.identification.waveform.driven.domain`).
+    not defined below zero (`rotorsim.identification.waveform.driven.domain`). structure: what they are of without the
+    modes that do not stay.
     """
 
     model: Model
@@ -113,6 +114,7 @@ class DrivenEquations:
     fastest: float | None = None
     begun: Mapping[int, Any] = field(default_factory=dict)
     limited: bool = False
+    structure: Structure | None = None
 
     @property
     def n(self) -> int:
@@ -128,7 +130,10 @@ class DrivenEquations:
     def measured_states(self) -> Mapping[int, tuple[str, float]]:
         """State -> output and factor, where an output is a constant times one state and nothing else."""
         x, measured = self.arguments[1], {}
-        for output, y in zip(self.outputs, ca.vertsplit(self.g), strict=True):
+        counts = np.bincount(pattern(self.g, x).get_triplet()[0], minlength=len(self.outputs))
+        for output, y, count in zip(self.outputs, ca.vertsplit(self.g), counts, strict=True):
+            if count != 1:
+                continue
             row = ca.sparsify(jacobian(y, x))
             if row.nnz() == 1 and row.nz[0].is_constant() and output not in self.inputs:
                 [k], factor = row.sparsity().get_triplet()[1], float(row.nz[0])
@@ -149,6 +154,12 @@ class DrivenEquations:
     @cached_property
     def _beginnings(self) -> MatrixFunction:
         return MatrixFunction(self.arguments, ca.vertcat(*self.begun.values()))
+
+    def with_states(self, outputs: Sequence[str]) -> DrivenEquations:
+        """Return equations with some of the outputs, then the states that stay."""
+        g = [self.g[self.outputs.index(name)] for name in outputs]
+        names, g = (*outputs, *self.state_names), ca.vertcat(*g, self.arguments[1])
+        return replace(self, outputs=names, g=g, structure=None)  # as they stay, they are no outputs of the whole
 
     @cached_property
     def matrices(self) -> tuple[MatrixFunction, MatrixFunction]:
@@ -172,9 +183,9 @@ class DrivenEquations:
         slopes = [sum((jacobian(ca.vec(L), p[slot]) for slot in own), ca.SX(L.numel(), 1)) for own in self.slots]
         return MatrixFunction([p], ca.horzcat(L, *(ca.reshape(one, *L.shape) for one in slopes)))
 
-    def jacobian(self, of: Any) -> Any:
-        """Return the sparse Jacobian of an expression (k,) by x, then by the m parameters, (k, n + m)."""
-        _, x, _, p = self.arguments
+    def jacobian(self, of: Any, x: Any = None) -> Any:
+        """Return the sparse Jacobian of an expression (k,) by x (default: the states), then by the m parameters."""
+        p, x = self.arguments[3], self.arguments[1] if x is None else x
         by_slots = [sum((jacobian(of, p[slot]) for slot in own), ca.SX(*of.shape)) for own in self.slots]
         return ca.sparsify(ca.horzcat(jacobian(of, x), *by_slots))
 
@@ -246,19 +257,21 @@ def driven_equations(
     known = tuple(item for item in free if slots_of(model, item))
     slots = [slots_of(model, item) for item in known] + [[model.n_p + k] for k in range(coefficients.numel())]
     names = tuple(linear.state_names(model)[k] for k in keep)
-    arguments = trace.t, x, v, ca.vertcat(trace.p, coefficients)
-    if fastest is not None:
-        p0 = np.concatenate([model.parameter_vector(), np.zeros(coefficients.numel())])
-        less = reduced(arguments, f, g, p0, _rates(diagram, inputs, v), fastest)
-        if less is not None:
-            arguments, f, g, begun = (trace.t, less.x, v, arguments[3]), less.f, less.g, {}
-            kept, names = kept[less.kept], tuple(names[k] for k in less.kept)
+    arguments, p0 = (trace.t, x, v, ca.vertcat(trace.p, coefficients)), model.parameter_vector()
+    p0 = np.concatenate([p0, np.zeros(coefficients.numel())])
     least = ca.SX.sym("least")
     if (beyond := continued(arguments, (f, g, *begun.values()), least)) is not None:
         (f, g, *values), arguments = beyond, (*arguments[:3], ca.vertcat(arguments[3], least))
-        begun = dict(zip(begun, values, strict=True))
+        begun, p0 = dict(zip(begun, values, strict=True)), np.append(p0, -np.inf)
+    structure = None
+    if fastest is not None:
+        structure = structure_of(arguments, f, g, p0, _rates(diagram, inputs, v), fastest)
+    if structure is not None:
+        z, f, g = structure.reduced()
+        arguments, begun = (trace.t, z, v, arguments[3]), {}
+        kept, names = kept[structure.kept], tuple(names[k] for k in structure.kept)
     given = model, tuple(outputs), tuple(inputs), known, kept, names, slots, arguments, f, g, fastest, begun
-    return DrivenEquations(*given, limited=beyond is not None)
+    return DrivenEquations(*given, limited=beyond is not None, structure=structure)
 
 
 def _beginnings(model: Model) -> dict[int, Any]:

@@ -2,7 +2,9 @@
 
 x' = A x + E q,   y = C x + D q,   q = q(t, x, v; p)
 
-with matrices of parameters, speed and acceleration of the shaft alone. From v_0 over the middle v_m to v_1 in a step h
+with matrices of parameters, speed and acceleration of the shaft alone. Where fast modes of a structure follow their
+forces at once, matrices are those of all its modes, reduced as numbers; laws read z = X x + Y q then, from what was
+computed before (`Level`). From v_0 over the middle v_m to v_1 in a step h
 
 x_1 = exp(M) x_0 + h [(phi_1 - 3 phi_2 + 4 phi_3) E q_1 + (2 phi_2 - 4 phi_3) E (q_2 + q_3) + (4 phi_3 - phi_2) E q_4],
 
@@ -18,28 +20,24 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from rotorsim.identification.waveform.driven.equations import OF_THE_ANGLE, DrivenEquations, clock_ports
+from rotorsim.identification.waveform.driven.equations import DrivenEquations
 from rotorsim.identification.waveform.driven.source import source_of
-from rotorsim.linear.sampled import MOST_DOUBLINGS, Tangent, phi_functions
+from rotorsim.identification.waveform.driven.split import Level, Split
+from rotorsim.linear.sampled import MOST_DOUBLINGS, phi_functions
 from rotorsim.model.called import connect, forget_failures, raise_failure
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
-from rotorsim.model.linearity import jacobian, semi_linear
-from rotorsim.model.matrix_function import MatrixFunction
 
 STEP_DIGITS = 12  # of a step: the rest is rounding
 BLOCK_SAMPLES = 8  # in which speed and acceleration are those of their mean: what is left is of second order in time
 INTERPOLATED = 1e-8  # relative error of interpolated matrices, far below what steps are good to
 MOST_POINTS = 9  # of speed, and of acceleration, between which matrices are interpolated
 TRIED_SPEEDS = (0.11, 0.37, 0.5, 0.83)  # of the range of speeds: where that error is looked at
-MOST_LAWS_OF_STATES = 0.5  # that depend on them otherwise than linearly: beyond, steps of the whole cost less
 
 _RUNTIME = r"""
 #define RS_DRIVEN (RS_LAWS ? RS_K : RS_M) /* derivatives of q: by the start only where it depends on the states */
@@ -64,16 +62,28 @@ static inline void rs_apply(int exact, int rows, int cols, int first, const doub
   }
 }
 
+/* What a level reads: rows of z = X x + Y q, of which the first laws are known; with its derivatives behind. */
+#define RS_READ(first, rows, at_x, at_q, known)                                                      \
+  for (int j = 0; j < rows; ++j) z[first + j] = 0.0;                                                 \
+  if (exact) for (int j = 0; j < (rows) * RS_K; ++j) z[RS_Z + (first) * RS_K + j] = 0.0;             \
+  rs_apply(exact, rows, RS_N, RS_K, table, at_x, w, w + RS_N, z + first, z + RS_Z + (first) * RS_K); \
+  rs_apply(exact, rows, known, RS_K, table, at_q, q, q + RS_Q, z + first, z + RS_Z + (first) * RS_K);
+
+/* Its laws, of what `from` holds, with their derivatives behind. */
+#define RS_LEVEL(name, first, count, from, S)                                             \
+  if (exact) {                                                                            \
+    double *to = q + RS_Q + (first) * RS_K;                                               \
+    rs_##name##_jacobian(t, from, v, p, c, q + first, jac, work);                         \
+    for (int j = 0; j < (count) * RS_K; ++j) to[j] = 0.0;                                 \
+    rs_multiply_##name(jac, S, to);                                                       \
+  } else {                                                                                \
+    rs_##name(t, from, v, p, c, q + first, work);                                         \
+  }
+
 /* q at a stage w = [x, S], with its derivatives behind. */
 static inline void rs_forces(int exact, double t, const double *w, const double *v, const double *p, const double *c,
-                             double *q, double *jac, double *work) {
-  if (exact) {
-    rs_f_jacobian(t, w, v, p, c, q, jac, work);
-    for (int j = RS_Q; j < RS_Q * (1 + RS_K); ++j) q[j] = 0.0;
-    rs_multiply_f(jac, w + RS_N, q + RS_Q);
-  } else {
-    rs_f(t, w, v, p, c, q, work);
-  }
+                             const double *table, double *z, double *q, double *jac, double *work) {
+  RS_LEVELS
 }
 
 #define RS_MOVED(M, w, to) rs_apply(exact, RS_N, RS_N, RS_K, table, M, w, w + RS_N, to, to + RS_N)
@@ -87,7 +97,7 @@ static inline int64_t rs_simulate(int exact, int64_t N, int64_t sub, int64_t blo
   const int entries = exact ? RS_T * (1 + RS_M) : RS_T;
   const double h = dt / (double)sub;
   double *c = memory, *work = c + RS_NC, *jac = work + RS_WORK, *table = jac + RS_JAC, *next = table + entries;
-  double *stage = next + size, *q1 = stage + size, *q2 = q1 + wide, *q3 = q2 + wide, *q4 = q3 + wide;
+  double *stage = next + size, *q1 = stage + size, *q2 = q1 + wide, *q3 = q2 + wide, *q4 = q3 + wide, *z = q4 + wide;
   rs_constants(p, c, work);
   for (int64_t i = 0; i < N; ++i) {
     if (i % block == 0) {
@@ -102,7 +112,7 @@ static inline int64_t rs_simulate(int exact, int64_t N, int64_t sub, int64_t blo
     if (!(large < RS_LARGE)) return i;
     for (int j = RS_N; j < size; ++j)
       if (fabs(w[j]) < RS_SMALL) w[j] = 0.0; /* a start long forgotten */
-    rs_forces(exact, t, w, vi, p, c, q1, jac, work);
+    rs_forces(exact, t, w, vi, p, c, table, z, q1, jac, work);
     double *yi = y + i * RS_C, *di = dy + i * RS_C * RS_K;
     for (int j = 0; j < RS_C; ++j) yi[j] = 0.0;
     if (exact)
@@ -112,27 +122,27 @@ static inline int64_t rs_simulate(int exact, int64_t N, int64_t sub, int64_t blo
     if (i == N - 1) break;
     for (int64_t s = 0; s < sub; ++s) {
       const double ts = t + h * (double)s, *vs = vi + 2 * s * RS_NV;
-      if (s) rs_forces(exact, ts, w, vs, p, c, q1, jac, work);
+      if (s) rs_forces(exact, ts, w, vs, p, c, table, z, q1, jac, work);
       RS_ZERO(next)
       RS_MOVED(RS_AT_F, w, next);
 #if RS_LAWS
       RS_ZERO(stage)
       RS_MOVED(RS_AT_HALF, w, stage);
       RS_FORCED(RS_AT_21, q1, stage);
-      rs_forces(exact, ts + h / 2, stage, vs + RS_NV, p, c, q2, jac, work);
+      rs_forces(exact, ts + h / 2, stage, vs + RS_NV, p, c, table, z, q2, jac, work);
       RS_ZERO(stage)
       RS_MOVED(RS_AT_HALF, w, stage);
       RS_FORCED(RS_AT_31, q1, stage);
       RS_FORCED(RS_AT_32, q2, stage);
-      rs_forces(exact, ts + h / 2, stage, vs + RS_NV, p, c, q3, jac, work);
+      rs_forces(exact, ts + h / 2, stage, vs + RS_NV, p, c, table, z, q3, jac, work);
       for (int j = 0; j < size; ++j) stage[j] = next[j];
       RS_FORCED(RS_AT_41, q1, stage);
       RS_FORCED(RS_AT_43, q3, stage);
       for (int j = 0; j < wide; ++j) q2[j] = 0.5 * (q2[j] + q3[j]);
-      rs_forces(exact, ts + h, stage, vs + 2 * RS_NV, p, c, q4, jac, work);
+      rs_forces(exact, ts + h, stage, vs + 2 * RS_NV, p, c, table, z, q4, jac, work);
 #else
-      rs_forces(exact, ts + h / 2, w, vs + RS_NV, p, c, q2, jac, work);
-      rs_forces(exact, ts + h, w, vs + 2 * RS_NV, p, c, q4, jac, work);
+      rs_forces(exact, ts + h / 2, w, vs + RS_NV, p, c, table, z, q2, jac, work);
+      rs_forces(exact, ts + h, w, vs + 2 * RS_NV, p, c, table, z, q4, jac, work);
 #endif
       RS_FORCED(RS_AT_W0, q1, next);
       RS_FORCED(RS_AT_WM, q2, next);
@@ -155,51 +165,12 @@ RS_EXPORT int64_t rs_run(int exact, int64_t N, int64_t sub, int64_t block, int64
 """
 
 
-@dataclass(frozen=True, eq=False)
-class Split:
-    """Equations x' = A x + E q, y = C x + D q; q (r,): expressions of their arguments, the last of them 1.
-
-    laws: how many depend on the states. slow: the places in v that A, E, C and D depend on. matrices: of v and p,
-    [A E; C D], and with its derivatives by the m parameters, (1, n + c, (n + r) (1 + m)).
-    """
-
-    q: Any
-    laws: int
-    slow: tuple[int, ...]
-    matrices: tuple[MatrixFunction, MatrixFunction]
-
-    @classmethod
-    def of(cls, eq: DrivenEquations) -> Split | None:
-        """Return the parts of equations; None where no shaft turns, or too little is linear."""
-        ports = clock_ports(eq.model.diagram)
-        turning = [k for k, name in enumerate(eq.inputs) if name in ports]
-        slow = [k for k in turning if eq.inputs[k].rpartition(".")[2] in OF_THE_ANGLE[1:]]
-        if not turning or not eq.n:
-            return None
-        t, x, v, p = eq.arguments
-        fast = ca.vertcat(t, *[v[k] for k in range(v.numel()) if k not in slow])
-        found = semi_linear(ca.vertcat(eq.f, eq.g), x, fast, v[slow])
-        laws = sum(ca.depends_on(law, x) for law in ca.vertsplit(found.phi))
-        if laws > MOST_LAWS_OF_STATES * eq.n:
-            return None
-        still = ca.substitute(found.of, ca.vertcat(x, found.w), ca.SX.zeros(eq.n + found.w.numel()))
-        L = ca.sparsify(ca.horzcat(jacobian(found.of, x), jacobian(found.of, found.w), still))
-        there = {symbol.element_hash() for symbol in ca.symvar(L)}
-        used = tuple(k for k in slow if v[k].element_hash() in there)
-        slopes = jacobian(L.nz[:], p[[slot for own in eq.slots for slot in own]])
-        ends = np.cumsum([0, *map(len, eq.slots)]).tolist()
-        by = (ca.sum2(slopes[:, first:last]) for first, last in pairwise(ends))
-        whole = ca.horzcat(L, *(ca.SX(L.sparsity(), ca.densify(one)) for one in by))
-        given = [v, p]
-        return cls(ca.vertcat(found.phi, 1), laws, used, (MatrixFunction(given, L), MatrixFunction(given, whole)))
-
-
 class ExponentialSteps:
     """Exponential steps of equations in C, with so many sensitivities: by the m parameters, then by the start."""
 
     def __init__(self, equations: DrivenEquations, split: Split, columns: int) -> None:
         self.equations, self.split, self.columns = equations, split, columns
-        self.n, self.c, self.r = equations.n, len(equations.outputs), split.q.numel()
+        self.n, self.c, self.r = equations.n, len(equations.outputs), split.r
         self._points: dict[tuple[Any, ...], list[np.ndarray]] = {}
         self._known: dict[tuple[Any, ...], np.ndarray] = {}  # those of the run before, if they are the same
 
@@ -209,7 +180,27 @@ class ExponentialSteps:
         n, c, r = self.n, self.c, self.r
         shapes = {"F": (n, n), "W0": (n, r), "WM": (n, r), "W1": (n, r), "C": (c, n), "D": (c, r)}
         stages = {"HALF": (n, n)} | dict.fromkeys(("21", "31", "32", "41", "43"), (n, r))
+        for k, level in self._reading:
+            stages |= {f"X{k}": (len(level.rows), n), f"Y{k}": (len(level.rows), level.before)}
         return shapes | (stages if self.split.laws else {})
+
+    @property
+    def _reading(self) -> list[tuple[int, Level]]:
+        """The levels whose laws read z, with their numbers."""
+        return [(k, level) for k, level in enumerate(self.split.levels) if level.rows]
+
+    def _levels(self) -> str:
+        """Return how q follows in C, level by level."""
+        lines, first, reading = [], 0, dict(self._reading)
+        source, slopes = ("z", "z + RS_Z") if self.equations.structure else ("w", "w + RS_N")
+        for k, level in enumerate(self.split.levels):
+            count = level.q.numel()
+            if k in reading:
+                tables = f"RS_AT_X{k}, RS_AT_Y{k}, {level.before}"
+                lines.append(f"RS_READ({level.rows.start}, {len(level.rows)}, {tables})")
+            lines.append(f"RS_LEVEL(q{k}, {first}, {count}, {source}, {slopes})")
+            first += count
+        return " ".join(lines)
 
     @cached_property
     def _library(self) -> tuple[Any, int] | None:
@@ -220,7 +211,10 @@ class ExponentialSteps:
         ends = np.cumsum([0, *sizes.values()]).tolist()
         macros = {f"RS_AT_{key}": at for key, at in zip(sizes, ends, strict=False)}
         macros |= {"RS_T": ends[-1], "RS_M": self.equations.m, "RS_Q": self.r, "RS_LAWS": self.split.laws}
-        source, size, called = source_of(self.equations, self.split.q, ca.SX(0, 1), self.columns, _RUNTIME, macros)
+        macros |= {"RS_Z": self.split.read}
+        laws = {f"q{k}": level.q for k, level in enumerate(self.split.levels)}
+        runtime = _RUNTIME.replace("RS_LEVELS", self._levels())
+        source, size, called = source_of(self.equations, laws, self.columns, runtime, macros, self.split.reads)
         try:
             library = compile_c(source, compiler, "-O3")[0]
             connect(library, called)
@@ -264,7 +258,7 @@ class ExponentialSteps:
         tables = self._known[key]
         state = np.concatenate([x0, np.eye(self.n, K, self.equations.m).ravel()])
         y, dy = np.empty((N, self.c)), np.empty((N, self.c, K))
-        memory = np.zeros(size + (2 * self.n + 4 * self.r) * (1 + K))
+        memory = np.zeros(size + (2 * self.n + 4 * self.r + self.split.read) * (1 + K))
         given = [np.ascontiguousarray(a, float) for a in (v, p, tables, weights)]
         arrays = [array.ctypes.data for array in (*given, state, y, dy, memory)]
         forget_failures()
@@ -301,13 +295,11 @@ class ExponentialSteps:
 
     def _tables(self, points: Sequence[np.ndarray], p: np.ndarray, h: float, m: int) -> np.ndarray:
         """Return the matrices of a step at all points, then m derivatives of each entry, (nodes, RS_T (1 + m))."""
-        n, nodes = self.n, np.array([*product(*points)])
+        nodes = np.array([*product(*points)])
         v = np.zeros((len(self.equations.inputs), len(nodes)))
         v[list(self.split.slow)] = nodes.T
-        L = self.split.matrices[m > 0](v, p[:, None]).reshape(-1, n + self.c, 1 + m, n + self.r).transpose(2, 0, 1, 3)
-        L = np.broadcast_to(L, (1 + m, len(nodes), *L.shape[2:]))
-        parted = (L[:, :, :n, :n], L[:, :, :n, n:], L[:, :, n:, :n], L[:, :, n:, n:])
-        A, E, C, D = (Tangent(part[0], part[1:]) for part in parted)
+        linear = self.split.matrices(v, p, m > 0)
+        A, E, C, D = (linear[key] for key in "AECD")
         half = phi_functions(A.times(h / 2), MOST_DOUBLINGS)
         phi = half.doubled()
         one, two, three = ((part @ E).times(h) for part in (phi.one, phi.two, phi.three))
@@ -329,10 +321,12 @@ class ExponentialSteps:
                 "41": one + two.times(-2.0),
                 "43": two.times(2.0),
             }
-        flat = [
-            np.concatenate([part.value[None], part.slopes]).transpose(1, 3, 2, 0).reshape(len(nodes), -1, 1 + m)
-            for part in (parts[key] for key in self._shapes)
-        ]
+        flat = []
+        for key, (rows, columns) in self._shapes.items():
+            part = parts.get(key) or linear[key]
+            every = np.concatenate([part.value[None], part.slopes])
+            every = np.broadcast_to(every, (1 + m, len(nodes), rows, columns))
+            flat.append(every.transpose(1, 3, 2, 0).reshape(len(nodes), -1, 1 + m))
         whole = np.concatenate(flat, axis=1)
         return np.concatenate([whole[:, :, 0], whole[:, :, 1:].reshape(len(nodes), -1)], axis=1)
 

@@ -16,8 +16,9 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.identification.waveform.driven.equations import DrivenEquations
-from rotorsim.identification.waveform.driven.exponential import ExponentialSteps, Split
+from rotorsim.identification.waveform.driven.exponential import ExponentialSteps
 from rotorsim.identification.waveform.driven.source import source_of
+from rotorsim.identification.waveform.driven.split import Split
 from rotorsim.linear.sampled import LARGE, Tangent, first_order_hold, response
 from rotorsim.model.called import connect, forget_failures, raise_failure
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
@@ -140,6 +141,11 @@ class Simulation:
         """Whether steps are exact but for what drives them: exponential ones without laws of the states."""
         return self._exponential is not None and not self._exponential.split.laws
 
+    def rates(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Return df/dx (N, n, n) at times (1, N), states (n, N), inputs (n_v, N) and parameters (n_p, N)."""
+        found = None if self._exponential is None else self._exponential.split.rates(t, x, v, p)
+        return self.equations.matrices[0](t, x, v, p) if found is None else found
+
     def in_exponential_steps(
         self,
         p: np.ndarray,
@@ -261,7 +267,7 @@ def _interpreter(eq: DrivenEquations, N: int, sub: int, K: int) -> tuple[Any, An
 
 def _source(eq: DrivenEquations, columns: int) -> tuple[str, int, dict[str, Any]]:
     """Return `source_of` Runge-Kutta steps with as many sensitivities."""
-    return source_of(eq, eq.f, eq.g, columns, _RUNTIME.replace("RS_STEP", _step_in_c()), {})
+    return source_of(eq, {"f": eq.f, "g": eq.g}, columns, _RUNTIME.replace("RS_STEP", _step_in_c()), {})
 
 
 def _step_in_c() -> str:

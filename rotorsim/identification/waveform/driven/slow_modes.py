@@ -22,19 +22,41 @@ from rotorsim.model.matrix_function import MatrixFunction
 
 
 @dataclass(frozen=True, eq=False)
-class Reduced:
-    """Equations of fewer states: x (r,), those of the others that it holds (r,), f (r,), g (c,)."""
+class Structure:
+    """Equations dx/dt = f, y = g with all modes, f (n,), g (c,) of t, x (n,), v, p; and which of them stay.
 
-    x: Any
-    kept: np.ndarray
+    rates: dv/dt, zero where it is not known. kept (r,): the states that stay. whole (n, r): all of them by those.
+    onto (r, n): the rates of those by the rates of all. q, rate: displacements and velocities of the structure.
+    flexible (q, q): displacements that the fast modes add to accelerations without them.
+    """
+
+    arguments: tuple[Any, Any, Any, Any]
     f: Any
     g: Any
+    rates: Any
+    kept: np.ndarray
+    whole: np.ndarray
+    onto: np.ndarray
+    q: list[int]
+    rate: list[int]
+    flexible: np.ndarray
+
+    def reduced(self) -> tuple[Any, Any, Any]:
+        """Return the states that stay, z (r,), and f (r,) and g (c,) of them."""
+        t, x, v, _ = self.arguments
+        z = ca.SX.sym("x", len(self.kept))
+        shown = ca.SX(ca.sparsify(self.whole)) @ z
+        pushed = ca.SX(self.flexible) @ ca.substitute(self.f[self.rate], x, shown)
+        shown[self.q] += pushed
+        out = ca.SX(ca.sparsify(self.onto)) @ ca.substitute(self.f, x, shown)
+        shown[self.rate] += ca.jtimes(pushed, z, out) + ca.jtimes(pushed, v, self.rates) + ca.jtimes(pushed, t, 1)
+        return z, out, ca.substitute(self.g, x, shown)
 
 
-def reduced(
+def structure_of(
     arguments: tuple[Any, Any, Any, Any], f: Any, g: Any, p0: np.ndarray, rates: Any, limit: float
-) -> Reduced | None:
-    """Return equations without modes faster than a limit [rad/s], None where there are none.
+) -> Structure | None:
+    """Return equations with the states that stay without modes faster than a limit [rad/s], None where there are none.
 
     arguments: t, x (n,), v, p. f (n,), g (c,): expressions of these. p0: values at which the modes are those of K.
     rates: dv/dt, zero where it is not known.
@@ -54,30 +76,16 @@ def reduced(
     left = np.linalg.inv(np.hstack(right))
     masters = np.sort(qr(right[0].T, pivoting=True)[2][:count])
     shape = right[0] @ np.linalg.inv(right[0][masters])  # of all places by those that stay
-    onto = right[0][masters] @ left[:count]
-    flexible = right[1] @ np.linalg.inv(left[count:] @ K @ right[1])
+    flexible = right[1] @ np.linalg.inv(left[count:] @ K @ right[1]) @ left[count:]
     others = [k for k in range(n) if k not in {*q, *rate}]
     kept = np.array(sorted([*others, *(q[k] for k in masters), *(rate[k] for k in masters)]))
-    z = ca.SX.sym("x", len(kept))
-    where = {int(k): i for i, k in enumerate(kept)}
-    eta, eta_rate = (ca.vertcat(*[z[where[own[k]]] for k in masters]) for own in (q, rate))
-    whole = ca.SX(x)
-    for k in others:
-        whole[k] = z[where[k]]
-    whole[q], whole[rate] = ca.SX(shape) @ eta, ca.SX(shape) @ eta_rate
-    pushed = ca.SX(left[count:]) @ ca.substitute(f[rate], x, whole)
-    shown = ca.SX(whole)
-    shown[q] = whole[q] + ca.SX(flexible) @ pushed
-    moved = ca.substitute(f, x, shown)
-    out = ca.SX.zeros(len(kept))
-    for k in others:
-        out[where[k]] = moved[k]
-    accelerations = ca.SX(onto) @ moved[rate]
-    for i, k in enumerate(masters):
-        out[where[q[k]]], out[where[rate[k]]] = eta_rate[i], accelerations[i]
-    pushed_rate = ca.jtimes(pushed, z, out) + ca.jtimes(pushed, v, rates) + ca.jtimes(pushed, t, ca.SX(1))
-    shown[rate] = whole[rate] + ca.SX(flexible) @ pushed_rate
-    return Reduced(z, kept, out, ca.substitute(g, x, shown))
+    whole, onto = np.zeros((n, len(kept))), np.zeros((len(kept), n))
+    for own in (q, rate):
+        every, stay = np.array(own), np.searchsorted(kept, [own[k] for k in masters])
+        whole[np.ix_(every, stay)], onto[np.ix_(stay, every)] = shape, right[0][masters] @ left[:count]
+    stay = np.searchsorted(kept, others)
+    whole[others, stay] = onto[stay, others] = 1.0
+    return Structure(arguments, f, g, rates, kept, whole, onto, q, rate, flexible)
 
 
 def _pairs(f: Any, x: Any) -> list[tuple[int, int]]:
