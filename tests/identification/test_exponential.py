@@ -202,5 +202,20 @@ def test_modes_that_are_left_out_of_matrices_are_those_left_out_of_expressions()
     without = equations.parameters(equations.model.p0, np.array([50.0, 1e-3, 0.0]))
     assert np.abs(own.in_exponential_steps(without, start, v, DT)[0] - y).max() > 0.1 * np.abs(y).max()
     at = np.zeros((1, 1)), start[:, None], v[0, 0][:, None], p[:, None]
-    exact = equations.matrices[0](*at)
-    assert np.abs(own.rates(*at) - exact).max() < 1e-3 * np.abs(exact).max()
+    A, laws = Split.of(equations).laws_move(*at)
+    changed = equations.matrices[0](*at) - A
+    assert np.abs(laws - changed).max() < 0.1 * np.abs(changed).max()  # but for the flexibility of the modes left out
+
+
+def test_steps_follow_what_laws_change_of_the_modes(equations):
+    """A cubic spring at rest changes none, however fast the rest is; bent by u it adds 3 k u^2 along it."""
+    simulation, v = Simulation(equations), driven(1, 1)[0, 0][:, None]
+    p, t, x = equations.parameters(equations.model.p0, THETA)[:, None], np.zeros((1, 1)), np.zeros((8, 1))
+
+    def modes(x: np.ndarray) -> np.ndarray:
+        return np.sort(np.abs(np.linalg.eigvals(equations.matrices[0](t, x, v, p)[0])))
+
+    assert simulation.fastest(t, x, v, p, True) == pytest.approx([0.0])
+    at_rest, x[0] = modes(x), 1e-4
+    assert simulation.fastest(t, x, v, p, True) == pytest.approx([np.abs(modes(x) - at_rest).max()], rel=0.1)
+    assert simulation.fastest(t, x, v, p, False) == pytest.approx([modes(x)[-1]])

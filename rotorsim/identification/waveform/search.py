@@ -207,11 +207,8 @@ class OutputErrorSearch:
             v = np.stack([run.inputs(eq.inputs, 1)[0, 0] for run in self.runs], axis=1)
             x = np.stack([part[eq.m :] for part in own], axis=1)
             for at in (np.zeros_like(x), x):
-                A = system.rates(time[None], at, v, p)
-                good = np.isfinite(A).all(axis=(1, 2))
-                if A.size and good.any():
-                    speed = np.abs(np.linalg.eigvals(A[good])).max(axis=1)
-                    fastest = max(fastest, float((speed * np.broadcast_to(longest, len(A))[good]).max()))
+                speed = system.fastest(time[None], at, v, p, even) if eq.n else np.full(1, np.nan)
+                fastest = max(fastest, float(np.nan_to_num(speed * longest).max()))
         sub = self.least
         while sub < fastest / STABLE_STEP and sub < SIMULATION_SUBSTEPS:
             sub *= 2

@@ -214,7 +214,7 @@ class ExponentialSteps:
         macros |= {"RS_Z": self.split.read}
         laws = {f"q{k}": level.q for k, level in enumerate(self.split.levels)}
         runtime = _RUNTIME.replace("RS_LEVELS", self._levels())
-        source, size, called = source_of(self.equations, laws, self.columns, runtime, macros, self.split.reads)
+        source, size, called = source_of(self.equations, laws, self.columns, runtime, macros, self.split.arguments[1])
         try:
             library = compile_c(source, compiler, "-O3")[0]
             connect(library, called)

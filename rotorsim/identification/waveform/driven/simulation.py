@@ -14,6 +14,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from rotorsim.identification.waveform.driven.equations import DrivenEquations
 from rotorsim.identification.waveform.driven.exponential import ExponentialSteps
@@ -141,10 +142,16 @@ class Simulation:
         """Whether steps are exact but for what drives them: exponential ones without laws of the states."""
         return self._exponential is not None and not self._exponential.split.laws
 
-    def rates(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Return df/dx (N, n, n) at times (1, N), states (n, N), inputs (n_v, N) and parameters (n_p, N)."""
-        found = None if self._exponential is None else self._exponential.split.rates(t, x, v, p)
-        return self.equations.matrices[0](t, x, v, p) if found is None else found
+    def fastest(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray, even: bool) -> np.ndarray:
+        """Return the speed [rad/s] that steps follow at times (1, N), states (n, N), inputs, parameters; NaN: none.
+
+        It is that of the fastest mode, (N,); where even steps are exact for what is linear, what laws change of it.
+        """
+        if not (even and self._exponential is not None):
+            A = self.equations.matrices[0](t, x, v, p)
+            return np.array([np.abs(np.linalg.eigvals(one)).max() if np.isfinite(one).all() else np.nan for one in A])
+        found = zip(*np.broadcast_arrays(*self._exponential.split.laws_move(t, x, v, p)), strict=True)
+        return np.array([_moved(A, more) for A, more in found])
 
     def in_exponential_steps(
         self,
@@ -237,6 +244,14 @@ class Simulation:
         good = np.isfinite(states).all(axis=0) & (np.abs(states[: eq.n]).sum(axis=0) < LARGE)
         rows[np.cumsum(~good) > 0] = np.nan
         return rows[:, :c], rows[:, c:].reshape(N, c, K)
+
+
+def _moved(A: np.ndarray, more: np.ndarray) -> float:
+    """Return by how much eigenvalues of A are moved by more in it, most of all; NaN where that is not finite."""
+    if not (np.isfinite(A).all() and np.isfinite(more).all()):
+        return np.nan
+    apart = np.abs(np.linalg.eigvals(A)[:, None] - np.linalg.eigvals(A + more))
+    return float(apart[linear_sum_assignment(apart)].max())
 
 
 @lru_cache(maxsize=8)

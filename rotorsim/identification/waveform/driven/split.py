@@ -59,12 +59,12 @@ class _Whole:
 class Split:
     """Equations x' = A x + E q, y = C x + D q; q (r,): laws of their levels one after another, the first of them 1.
 
-    reads: symbols of what laws read, the states or z. laws: how many depend on them. slow: the places in v that A, E, C
-    and D depend on. whole: all of these, before any modes are left out.
+    arguments: t, x or z, v, p of the laws. laws: how many depend on x or z. slow: the places in v that A, E, C and D
+    depend on. whole: all of these, before any modes are left out.
     """
 
     levels: tuple[Level, ...]
-    reads: Any
+    arguments: tuple[Any, Any, Any, Any]
     laws: int
     slow: tuple[int, ...]
     whole: _Whole
@@ -106,7 +106,7 @@ class Split:
         whole = _Whole(MatrixFunction([v, p], L), MatrixFunction([v, p], every), x.numel(), eq.m)
         laws = ca.vertcat(*[found.phi[k] for k in free]), ca.vertcat(*[found.phi[k] for k in moving])
         if eq.structure is None:
-            return cls((Level(ca.vertcat(1, *laws)),), x, len(moving), used, whole)
+            return cls((Level(ca.vertcat(1, *laws)),), of.arguments, len(moving), used, whole)
         return _OfStructure.split(eq.structure, laws, L, (len(moving), used, whole))
 
     def matrices(self, v: np.ndarray, p: np.ndarray, slopes: bool) -> Mapping[str, Tangent]:
@@ -116,9 +116,14 @@ class Split:
         """
         return self.whole(v, p, slopes)
 
-    def rates(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> np.ndarray | None:
-        """Return dx'/dx (N, n, n) at times (1, N), states (n, N), inputs and parameters; None: as the equations say."""
-        return None
+    def laws_move(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return A, and what laws add to dx'/dx, (N, n, n), at times (1, N), states (n, N), inputs and parameters."""
+        found = self.matrices(v, p, False)
+        return found["A"].value, found["E"].value @ self._slopes(t, x, v, p)
+
+    @cached_property
+    def _slopes(self) -> MatrixFunction:
+        return MatrixFunction(self.arguments, jacobian(self.levels[0].q, self.arguments[1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +145,7 @@ class _OfStructure(Split):
         cls, structure: Structure, laws: tuple[Any, Any], L: Any, rest: tuple[int, tuple[int, ...], _Whole]
     ) -> Split:
         """Return the parts of laws of what drives, and of the states; L: see `_Whole`."""
-        t, x, v, _ = structure.arguments
+        t, x, v, p = structure.arguments
         free, moving = (ca.SX(of) for of in laws)
         rated = bool(L[x.numel() :, structure.rate].nnz())
 
@@ -158,7 +163,7 @@ class _OfStructure(Split):
         if r and rated:
             turned = rate(first, [(z[:k], z[2 * k :])])
             levels.append(Level(turned, range(2 * k, 3 * k), before + 2 * r))
-        return cls(tuple(levels), z, *rest, structure, own, rated)
+        return cls(tuple(levels), (t, z, v, p), *rest, structure, own, rated)
 
     def matrices(self, v: np.ndarray, p: np.ndarray, slopes: bool) -> Mapping[str, Tangent]:
         """Return the matrices of the states that stay, see `Split`."""
@@ -192,18 +197,16 @@ class _OfStructure(Split):
             found |= {f"X{k}": of_states.part(own), f"Y{k}": of_laws.part(own, slice(level.before))}
         return found
 
-    def rates(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> np.ndarray | None:
-        """Return dx'/dx (N, n, n), see `Split`: laws at the states without the flexibility of modes left out."""
+    def laws_move(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return A and what laws add, see `Split`: at the states without the flexibility of modes that are left out."""
         found = self.matrices(v, p, False)
-        A, E = found["A"].value, found["E"].value
-        if not self.laws:
-            return A
-        read, first = self.structure.whole[[*self.own]], self.levels[0].q.numel()
+        A, E, read = found["A"].value, found["E"].value, self.structure.whole[[*self.own]]
+        first = self.levels[0].q.numel()
         slopes = self._slopes(t, read @ x, v, p) @ read
-        return np.asarray(A + sum(E[..., k : k + self.laws] @ slopes for k in (first, first + self.laws)))
+        return A, (E[..., first : first + self.laws] + E[..., first + self.laws : first + 2 * self.laws]) @ slopes
 
     @cached_property
     def _slopes(self) -> MatrixFunction:
-        t, _, v, p = self.structure.arguments
-        z = self.reads[: len(self.own)]
-        return MatrixFunction([t, z, v, p], jacobian(self.levels[1].q, z))
+        t, z, v, p = self.arguments
+        own = z[: len(self.own)]
+        return MatrixFunction([t, own, v, p], jacobian(self.levels[1].q, own))
