@@ -43,22 +43,23 @@ _RUNTIME = r"""
 #define RS_DRIVEN (RS_LAWS ? RS_K : RS_M) /* derivatives of q: by the start only where it depends on the states */
 
 /* y += M x and its derivatives R, of which the first in S are not zero. M is that of a table column by column, and its
- * derivatives by the parameters follow behind all matrices, entry by entry. */
+ * derivatives by the parameters that move it follow behind all matrices, entry by entry. */
+static const int rs_moves[] = {RS_MOVING};
+
 static inline void rs_apply(int exact, int rows, int cols, int first, const double *table, int at, const double *x,
                             const double *S, double *restrict y, double *restrict R) {
-  const double *M = table + at, *D = table + RS_T + at * RS_M;
+  const double *M = table + at, *D = table + RS_T + at * RS_MOVES;
   for (int j = 0; j < cols; ++j)
     for (int i = 0; i < rows; ++i) y[i] += M[j * rows + i] * x[j];
   if (!exact) return;
   for (int i = 0; i < rows; ++i) {
-    double sum[RS_K + 1]; /* in registers */
-    for (int k = 0; k < RS_K; ++k) sum[k] = R[i * RS_K + k];
+    double *restrict to = R + i * RS_K, moved[RS_MOVES + 1] = {0};
     for (int j = 0; j < cols; ++j) {
-      const int e = j * rows + i;
-      for (int k = 0; k < first; ++k) sum[k] += M[e] * S[j * RS_K + k];
-      for (int l = 0; l < RS_M; ++l) sum[l] += D[e * RS_M + l] * x[j];
+      const double a = M[j * rows + i], *restrict from = S + j * RS_K, *restrict slopes = D + (j * rows + i) * RS_MOVES;
+      for (int k = 0; k < first; ++k) to[k] += a * from[k];
+      for (int l = 0; l < RS_MOVES; ++l) moved[l] += slopes[l] * x[j];
     }
-    for (int k = 0; k < RS_K; ++k) R[i * RS_K + k] = sum[k];
+    for (int l = 0; l < RS_MOVES; ++l) to[rs_moves[l]] += moved[l];
   }
 }
 
@@ -94,7 +95,7 @@ static inline int64_t rs_simulate(int exact, int64_t N, int64_t sub, int64_t blo
                                   const double *v, const double *p, const double *tables, const double *weights,
                                   double *w, double *y, double *dy, double *memory) {
   const int size = exact ? RS_N * (1 + RS_K) : RS_N, wide = exact ? RS_Q * (1 + RS_K) : RS_Q;
-  const int entries = exact ? RS_T * (1 + RS_M) : RS_T;
+  const int entries = exact ? RS_T * (1 + RS_MOVES) : RS_T;
   const double h = dt / (double)sub;
   double *c = memory, *work = c + RS_NC, *jac = work + RS_WORK, *table = jac + RS_JAC, *next = table + entries;
   double *stage = next + size, *q1 = stage + size, *q2 = q1 + wide, *q3 = q2 + wide, *q4 = q3 + wide, *z = q4 + wide;
@@ -154,8 +155,8 @@ static inline int64_t rs_simulate(int exact, int64_t N, int64_t sub, int64_t blo
 }
 
 /* N samples dt apart; v (N, 2 sub + 1, n_v): inputs at the ends and middles of the sub steps after each. tables
- * (nodes, RS_T (1 + m)), weights (blocks, nodes): of each block of samples. w: x (n), then S (n, K), at the first
- * sample; y (N, c), dy (N, c, K). Returns the number of samples computed before it diverged. */
+ * (nodes, RS_T (1 + RS_MOVES)), weights (blocks, nodes): of each block of samples. w: x (n), then S (n, K), at the
+ * first sample; y (N, c), dy (N, c, K). Returns the number of samples computed before it diverged. */
 RS_EXPORT int64_t rs_run(int exact, int64_t N, int64_t sub, int64_t block, int64_t nodes, double t0, double dt,
                          const double *v, const double *p, const double *tables, const double *weights, double *w,
                          double *y, double *dy, double *memory) {
@@ -173,6 +174,11 @@ class ExponentialSteps:
         self.n, self.c, self.r = equations.n, len(equations.outputs), split.r
         self._points: dict[tuple[Any, ...], list[np.ndarray]] = {}
         self._known: dict[tuple[Any, ...], np.ndarray] = {}  # those of the run before, if they are the same
+
+    @property
+    def _moves(self) -> int:
+        """The number of parameters that matrices depend on."""
+        return len(self.split.whole.moves)
 
     @property
     def _shapes(self) -> dict[str, tuple[int, int]]:
@@ -212,6 +218,7 @@ class ExponentialSteps:
         macros = {f"RS_AT_{key}": at for key, at in zip(sizes, ends, strict=False)}
         macros |= {"RS_T": ends[-1], "RS_M": self.equations.m, "RS_Q": self.r, "RS_LAWS": self.split.laws}
         macros |= {"RS_Z": self.split.read}
+        macros |= {"RS_MOVES": self._moves, "RS_MOVING": ", ".join(map(str, self.split.whole.moves)) or "0"}
         laws = {f"q{k}": level.q for k, level in enumerate(self.split.levels)}
         runtime = _RUNTIME.replace("RS_LEVELS", self._levels())
         source, size, called = source_of(self.equations, laws, self.columns, runtime, macros, self.split.arguments[1])
@@ -223,7 +230,7 @@ class ExponentialSteps:
             return None
         i64, ptr, number = ctypes.c_int64, ctypes.c_void_p, ctypes.c_double
         run.argtypes, run.restype = [ctypes.c_int, i64, i64, i64, i64, number, number, *[ptr] * 8], i64
-        return run, size + ends[-1] * (1 + self.equations.m)
+        return run, size + ends[-1] * (1 + self._moves)
 
     def simulate(
         self,
@@ -251,7 +258,7 @@ class ExponentialSteps:
         N, block = len(v), BLOCK_SAMPLES if self.split.slow else len(v)
         means = np.add.reduceat(slow, np.arange(0, N, block)) / np.minimum(block, N - np.arange(0, N, block))[:, None]
         weights = _weights(points, means)
-        m = self.equations.m if K else 0
+        m = self._moves if K else 0
         key = (p.tobytes(), h, m, *(one.tobytes() for one in points))
         if key not in self._known:
             self._known = {key: self._tables(points, p, h, m)}

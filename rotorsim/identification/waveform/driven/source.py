@@ -37,7 +37,7 @@ def source_of(
     functions: Mapping[str, Any],
     columns: int,
     runtime: str,
-    sizes: Mapping[str, float],
+    sizes: Mapping[str, float | str],
     x: Any = None,
 ) -> tuple[str, int, dict[str, Any]]:
     """Return the C source of a simulation with so many sensitivities, the size of its fixed memory, what it calls.

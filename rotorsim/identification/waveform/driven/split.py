@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -38,16 +37,16 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class _Whole:
-    """L of [f; g] = L [x; 1; w] at inputs and parameters, and where the states and outputs are in it."""
+    """L of [f; g] = L [x; 1; w] at inputs and parameters; moves: which of the m parameters L depends on."""
 
     values: MatrixFunction
     with_slopes: MatrixFunction
     states: int
-    m: int
+    moves: tuple[int, ...]
 
     def __call__(self, v: np.ndarray, p: np.ndarray, slopes: bool) -> dict[str, Tangent]:
-        """Return A, E, C and D at inputs v (n_v, N), p (n_p,) or (n_p, N), with derivatives by m parameters or none."""
-        count, function = (1 + self.m, self.with_slopes) if slopes else (1, self.values)
+        """Return A, E, C and D at inputs v (n_v, N), p (n_p,) or (n_p, N), with derivatives by `moves` or none."""
+        count, function = (1 + len(self.moves), self.with_slopes) if slopes else (1, self.values)
         rows, columns = self.values.shape
         at = function(v, p.reshape(len(p), -1)).reshape(-1, rows, count, columns).transpose(2, 0, 1, 3)
         L, states, rest = Tangent(at[0], at[1:]), slice(self.states), slice(self.states, None)
@@ -99,18 +98,17 @@ class Split:
         L = ca.sparsify(ca.horzcat(jacobian(found.of, x), still, jacobian(found.of, found.w[[*free, *moving]])))
         there = {symbol.element_hash() for symbol in ca.symvar(L)}
         used = tuple(k for k in slow if v[k].element_hash() in there)
-        slopes = jacobian(L.nz[:], p[[slot for own in eq.slots for slot in own]])
-        ends = np.cumsum([0, *map(len, eq.slots)]).tolist()
-        by = (ca.sum2(slopes[:, first:last]) for first, last in pairwise(ends))
-        every = ca.horzcat(L, *(ca.SX(L.sparsity(), ca.densify(one)) for one in by))
-        whole = _Whole(MatrixFunction([v, p], L), MatrixFunction([v, p], every), x.numel(), eq.m)
+        by = [sum((jacobian(L.nz[:], p[slot]) for slot in own), ca.SX(L.nnz(), 1)) for own in eq.slots]
+        moves = tuple(k for k, slopes in enumerate(by) if slopes.nnz())
+        every = ca.horzcat(L, *(ca.SX(L.sparsity(), ca.densify(by[k])) for k in moves))
+        whole = _Whole(MatrixFunction([v, p], L), MatrixFunction([v, p], every), x.numel(), moves)
         laws = ca.vertcat(*[found.phi[k] for k in free]), ca.vertcat(*[found.phi[k] for k in moving])
         if eq.structure is None:
             return cls((Level(ca.vertcat(1, *laws)),), of.arguments, len(moving), used, whole)
         return _OfStructure.split(eq.structure, laws, L, (len(moving), used, whole))
 
     def matrices(self, v: np.ndarray, p: np.ndarray, slopes: bool) -> Mapping[str, Tangent]:
-        """Return A, E, C and D at inputs v (n_v, N), p (n_p,) or (n_p, N), with derivatives by m parameters or none.
+        """Return A, E, C and D at inputs v (n_v, N), p (n_p,) or (n_p, N), with derivatives by `whole.moves` or none.
 
         With those that laws read, X and Y and the number of their level: rows of z = X x + Y q.
         """
