@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -98,8 +99,10 @@ class Split:
         L = ca.sparsify(ca.horzcat(jacobian(found.of, x), still, jacobian(found.of, found.w[[*free, *moving]])))
         there = {symbol.element_hash() for symbol in ca.symvar(L)}
         used = tuple(k for k in slow if v[k].element_hash() in there)
-        by = [sum((jacobian(L.nz[:], p[slot]) for slot in own), ca.SX(L.nnz(), 1)) for own in eq.slots]
-        moves = tuple(k for k, slopes in enumerate(by) if slopes.nnz())
+        slopes = ca.sparsify(jacobian(L.nz[:], p[[slot for own in eq.slots for slot in own]]))
+        ends = np.cumsum([0, *map(len, eq.slots)]).tolist()
+        by = [ca.sum2(slopes[:, first:last]) for first, last in pairwise(ends)]
+        moves = tuple(k for k, column in enumerate(by) if column.nnz())
         every = ca.horzcat(L, *(ca.SX(L.sparsity(), ca.densify(by[k])) for k in moves))
         whole = _Whole(MatrixFunction([v, p], L), MatrixFunction([v, p], every), x.numel(), moves)
         laws = ca.vertcat(*[found.phi[k] for k in free]), ca.vertcat(*[found.phi[k] for k in moving])
