@@ -149,9 +149,11 @@ class Simulation:
         """
         if not (even and self._exponential is not None):
             A = self.equations.matrices[0](t, x, v, p)
-            return np.array([np.abs(np.linalg.eigvals(one)).max() if np.isfinite(one).all() else np.nan for one in A])
-        found = zip(*np.broadcast_arrays(*self._exponential.split.laws_move(t, x, v, p)), strict=True)
-        return np.array([_moved(A, more) for A, more in found])
+            found, good = np.full(len(A), np.nan), np.isfinite(A).all(axis=(1, 2))
+            found[good] = np.abs(np.linalg.eigvals(A[good])).max(axis=1, initial=0.0)
+            return found
+        pairs = zip(*np.broadcast_arrays(*self._exponential.split.laws_move(t, x, v, p)), strict=True)
+        return np.array([_moved(A, more) for A, more in pairs])
 
     def in_exponential_steps(
         self,
