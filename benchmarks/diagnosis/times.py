@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         lines.append(at_most(f"{case.name}: {named}", done.wall, limit, "{:.0f}", "s", f" ({done.cpu:.0f} s CPU)"))
         print(lines[-1], flush=True)
         walls.append(done.wall)
-    if len(walls) > 1:
+    if len(walls) > 1 and chosen.most is None:
         lines.append(at_most("median", statistics.median(walls), MEDIAN, "{:.0f}", "s"))
     lines.append(Line("processor", processor()))
     print(markdown(lines))
