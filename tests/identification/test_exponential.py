@@ -7,15 +7,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.driven import exponential
 from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.driven.split import Split
+from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.model.linearity import semi_linear
 from rotorsim.model.load import load
 
 DT, SAMPLES = 1e-3, 300
 OUTPUTS = ["rotor.displacement[1]", "rotor.displacement[2]"]
+KINDS = dict.fromkeys(("clock.theta", "clock.speed", "clock.acceleration"), "smooth")
 INPUTS = ["clock.theta", "clock.speed", "clock.acceleration"]
 SPEED, ACCELERATION = 300.0, 400.0  # at first [rad/s], and after [rad/s^2]
 THETA = np.array([76.0, 24e-6, 2e14])  # damping, eccentricity, cubic stiffness
@@ -202,7 +205,7 @@ def test_modes_that_are_left_out_of_matrices_are_those_left_out_of_expressions()
     without = equations.parameters(equations.model.p0, np.array([50.0, 1e-3, 0.0]))
     assert np.abs(own.in_exponential_steps(without, start, v, DT)[0] - y).max() > 0.1 * np.abs(y).max()
     at = np.zeros((1, 1)), start[:, None], v[0, 0][:, None], p[:, None]
-    A, laws = Split.of(equations).laws_move(*at)
+    A, laws = Split.of(equations).jacobians(*at)
     changed = equations.matrices[0](*at) - A
     assert np.abs(laws - changed).max() < 0.1 * np.abs(changed).max()  # but for the flexibility of the modes left out
 
@@ -211,11 +214,27 @@ def test_steps_follow_what_laws_change_of_the_modes(equations):
     """A cubic spring at rest changes none, however fast the rest is; bent by u it adds 3 k u^2 along it."""
     simulation, v = Simulation(equations), driven(1, 1)[0, 0][:, None]
     p, t, x = equations.parameters(equations.model.p0, THETA)[:, None], np.zeros((1, 1)), np.zeros((8, 1))
+    split = simulation.exponential(p[:, 0], DT, dict.fromkeys(INPUTS, (300.0, 420.0)))
 
     def modes(x: np.ndarray) -> np.ndarray:
         return np.sort(np.abs(np.linalg.eigvals(equations.matrices[0](t, x, v, p)[0])))
 
-    assert simulation.fastest(t, x, v, p, True) == pytest.approx([0.0])
+    assert simulation.fastest_eigenvalue(t, x, v, p, split) == pytest.approx([0.0])
     at_rest, x[0] = modes(x), 1e-4
-    assert simulation.fastest(t, x, v, p, True) == pytest.approx([np.abs(modes(x) - at_rest).max()], rel=0.1)
-    assert simulation.fastest(t, x, v, p, False) == pytest.approx([modes(x)[-1]])
+    found = simulation.fastest_eigenvalue(t, x, v, p, split)
+    assert found == pytest.approx([np.abs(modes(x) - at_rest).max()], rel=0.1)
+    assert simulation.fastest_eigenvalue(t, x, v, p, None) == pytest.approx([modes(x)[-1]])
+
+
+def test_steps_that_are_not_exponential_are_as_short_as_the_fastest_mode_needs(equations, monkeypatch):
+    """FAULT: where matrices cannot be interpolated, steps of Runge-Kutta were those of exponential ones."""
+    monkeypatch.setattr(exponential, "MOST_POINTS", 1)
+    p = equations.parameters(equations.model.p0, THETA)
+    assert Simulation(equations).exponential(p, DT, dict.fromkeys(INPUTS, (300.0, 420.0))) is None
+    run = SampledRun("a", dict(zip([*INPUTS, *OUTPUTS], np.zeros((5, 2)), strict=True)), KINDS, DT * np.arange(2), {})
+    run.values["clock.speed"][:] = SPEED, SPEED + 1.0
+    search = OutputErrorSearch(
+        (Simulation(equations_of()),), [run], dict.fromkeys((("", name) for name in OUTPUTS), 1.0)
+    )
+    fastest = np.abs(np.linalg.eigvals(equations.matrices[0](0.0, np.zeros(8), driven(1, 1)[0, 0], p)[0])).max()
+    assert search.substeps(search.first()) >= fastest * DT / 2.0 > 1.0

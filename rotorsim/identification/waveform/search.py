@@ -199,15 +199,18 @@ class OutputErrorSearch:
         time = np.array([run.start for run in self.runs])
         for k, system in enumerate(self.systems):
             eq = system.equations
-            even = all(run.steps is None for run in self.runs)
-            if all(self.is_exact(k, r) for r in range(len(self.runs))) or (even and system.is_stable_in_any_step):
+            if all(self.is_exact(k, r) for r in range(len(self.runs))):
                 continue
             own = [unknowns[self.columns(k, r)] for r in range(len(self.runs))]
             p = np.stack([eq.parameters(given, part[: eq.m]) for given, part in zip(self.p, own, strict=True)], axis=1)
+            even = all(run.steps is None for run in self.runs)
+            split = system.exponential(p[:, 0], float(longest.max()) / self.least, self._ranges) if even else None
+            if not eq.n or (split is not None and not split.laws):
+                continue
             v = np.stack([run.inputs(eq.inputs, 1)[0, 0] for run in self.runs], axis=1)
             x = np.stack([part[eq.m :] for part in own], axis=1)
             for at in (np.zeros_like(x), x):
-                speed = system.fastest(time[None], at, v, p, even) if eq.n else np.full(1, np.nan)
+                speed = system.fastest_eigenvalue(time[None], at, v, p, split)
                 fastest = max(fastest, float(np.nan_to_num(speed * longest).max()))
         sub = self.least
         while sub < fastest / STABLE_STEP and sub < SIMULATION_SUBSTEPS:

@@ -247,7 +247,7 @@ class ExponentialSteps:
         ranges: of inputs in all runs, whose matrices are then computed once; default those of this one.
         """
         sub, K = v.shape[1] // 2, self.columns if sensitivities else 0
-        h = float(f"{dt / sub:.{STEP_DIGITS}g}")  # parts of one run have the same matrices
+        h = _digits(dt / sub)  # parts of one run have the same matrices
         slow = v[:, sub, self.split.slow]  # in the middle of what follows each sample
         names = [self.equations.inputs[k] for k in self.split.slow]
         own = zip(names, slow.min(axis=0, initial=np.inf), slow.max(axis=0, initial=-np.inf), strict=True)
@@ -273,6 +273,13 @@ class ExponentialSteps:
         raise_failure()
         y[done:], dy[done:] = np.nan, np.nan
         return y, dy
+
+    def covers(self, p: np.ndarray, dt: float, ranges: Mapping[str, tuple[float, float]]) -> bool:
+        """Return whether there are matrices for steps of dt over ranges of inputs, and a compiler."""
+        names = [self.equations.inputs[k] for k in self.split.slow]
+        known = [ranges[name] for name in names if name in ranges]
+        complete = len(known) == len(names) and self._library is not None
+        return complete and self._points_of(known, p, _digits(dt)) is not None
 
     def _points_of(self, ranges: list[tuple[float, float]], p: np.ndarray, h: float) -> list[np.ndarray] | None:
         """Return the points of speed and of acceleration for their ranges; None where MOST_POINTS are too few."""
@@ -336,6 +343,11 @@ class ExponentialSteps:
             flat.append(every.transpose(1, 3, 2, 0).reshape(len(nodes), -1, 1 + m))
         whole = np.concatenate(flat, axis=1)
         return np.concatenate([whole[:, :, 0], whole[:, :, 1:].reshape(len(nodes), -1)], axis=1)
+
+
+def _digits(step: float) -> float:
+    """Return a step without the digits that are rounding."""
+    return float(f"{step:.{STEP_DIGITS}g}")
 
 
 def _chebyshev(low: float, high: float, count: int) -> np.ndarray:

@@ -137,23 +137,26 @@ class Simulation:
         split = Split.of(self.equations) if self.use_compiler and find_compiler() else None
         return None if split is None else ExponentialSteps(self.equations, split, self.columns)
 
-    @property
-    def is_stable_in_any_step(self) -> bool:
-        """Whether steps are exact but for what drives them: exponential ones without laws of the states."""
-        return self._exponential is not None and not self._exponential.split.laws
+    def exponential(self, p: np.ndarray, dt: float, ranges: Mapping[str, tuple[float, float]]) -> Split | None:
+        """Return what steps of dt are exact for; None where they are of Runge-Kutta; ranges: of inputs."""
+        steps = self._exponential
+        return steps.split if steps is not None and steps.covers(p, dt, ranges) else None
 
-    def fastest(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray, even: bool) -> np.ndarray:
-        """Return the speed [rad/s] that steps follow at times (1, N), states (n, N), inputs, parameters; NaN: none.
+    def fastest_eigenvalue(
+        self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray, split: Split | None
+    ) -> np.ndarray:
+        """Return the size [rad/s] of the eigenvalue that limits steps, (N,); NaN where there is none.
 
-        It is that of the fastest mode, (N,); where even steps are exact for what is linear, what laws change of it.
+        At times (1, N), states (n, N), inputs (n_v, N), parameters (n_p, N): the largest of df/dx, or, of steps that
+        are exact for what is linear (split), that by which laws move one most.
         """
-        if not (even and self._exponential is not None):
+        if split is None:
             A = self.equations.matrices[0](t, x, v, p)
             found, good = np.full(len(A), np.nan), np.isfinite(A).all(axis=(1, 2))
             found[good] = np.abs(np.linalg.eigvals(A[good])).max(axis=1, initial=0.0)
             return found
-        pairs = zip(*np.broadcast_arrays(*self._exponential.split.laws_move(t, x, v, p)), strict=True)
-        return np.array([_moved(A, more) for A, more in pairs])
+        pairs = zip(*np.broadcast_arrays(*split.jacobians(t, x, v, p)), strict=True)
+        return np.array([_moved(A, laws) for A, laws in pairs])
 
     def in_exponential_steps(
         self,
@@ -248,11 +251,14 @@ class Simulation:
         return rows[:, :c], rows[:, c:].reshape(N, c, K)
 
 
-def _moved(A: np.ndarray, more: np.ndarray) -> float:
-    """Return by how much eigenvalues of A are moved by more in it, most of all; NaN where that is not finite."""
-    if not (np.isfinite(A).all() and np.isfinite(more).all()):
+def _moved(A: np.ndarray, laws: np.ndarray) -> float:
+    """Return by how much laws move an eigenvalue of A, the one that they move most; NaN where that is not finite.
+
+    In A + laws a mode is at that of A which is nearest to it, all together.
+    """
+    if not (np.isfinite(A).all() and np.isfinite(laws).all()):
         return np.nan
-    apart = np.abs(np.linalg.eigvals(A)[:, None] - np.linalg.eigvals(A + more))
+    apart = np.abs(np.linalg.eigvals(A)[:, None] - np.linalg.eigvals(A + laws))
     return float(apart[linear_sum_assignment(apart)].max())
 
 

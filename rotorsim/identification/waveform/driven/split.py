@@ -117,7 +117,7 @@ class Split:
         """
         return self.whole(v, p, slopes)
 
-    def laws_move(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def jacobians(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return A, and what laws add to dx'/dx, (N, n, n), at times (1, N), states (n, N), inputs and parameters."""
         found = self.matrices(v, p, False)
         return found["A"].value, found["E"].value @ self._slopes(t, x, v, p)
@@ -134,7 +134,7 @@ class _OfStructure(Split):
 
     q: 1 and laws of what drives, with their rates where outputs read velocities; laws of x = T z, with modes T; laws of
     x = T z + F (A T z + E q), with the flexibility F; and, where outputs read velocities, rates of the former. own: the
-    states that laws read.
+    states that laws read. What the speed changes of A within a period of the modes left out is not in their rates.
     """
 
     structure: Structure
@@ -193,12 +193,13 @@ class _OfStructure(Split):
             shown = shown + turned @ (pushed @ found["A"])
             beside = beside + turned @ (pushed @ found["E"] + forced @ laid(2, free))
         found |= {"C": every["C"] @ shown, "D": every["C"] @ beside + every["D"] @ laid(1 if r else 0)}
-        reads = [(X.times(0.0) + T, Y.times(0.0)), (X, Y), (T @ found["A"], T @ found["E"])]
+        still = Tangent(np.broadcast_to(T, X.value.shape), np.zeros_like(X.slopes)), Y  # of Y nothing is read
+        reads = [still, (X, Y), (T @ found["A"], T @ found["E"])]
         for k, (level, (of_states, of_laws)) in enumerate(zip(self.levels[1:], reads, strict=False), 1):
             found |= {f"X{k}": of_states.part(own), f"Y{k}": of_laws.part(own, slice(level.before))}
         return found
 
-    def laws_move(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def jacobians(self, t: np.ndarray, x: np.ndarray, v: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return A and what laws add, see `Split`: at the states without the flexibility of modes that are left out."""
         found = self.matrices(v, p, False)
         A, E, read = found["A"].value, found["E"].value, self.structure.whole[[*self.own]]
