@@ -27,7 +27,8 @@ from rotorsim.jobs.jobs import Jobs, local_workers
 from rotorsim.jobs.threads import one_thread
 from rotorsim.measure.checks import check_signals
 from rotorsim.model.heard import listener, said
-from rotorsim.recordings.orders import OrderRecording
+from rotorsim.model.load import load_standalone
+from rotorsim.recordings.orders import OrderRecording, renamed
 from rotorsim.recordings.recording import Recording
 
 __all__ = ["Diagnosis", "diagnose"]
@@ -51,12 +52,17 @@ def diagnose(
 
     The free parameters of the diagram are refitted; if noise does not explain the residual, every declared fault
     (`rotorsim.fault.Fault`) is tried at every place; physics: only these. hold_out: further runs that take part in no
-    fit. workers, scheduler, progress: see `rotorsim.jobs.jobs.run_jobs`. jobs: instead of scheduler and workers,
+    fit. Sub-diagrams are dissolved first: their blocks are named as there is place for them, which a warning tells.
+    workers, scheduler, progress: see `rotorsim.jobs.jobs.run_jobs`. jobs: instead of scheduler and workers,
     processes that are kept (`rotorsim.jobs.jobs.local_workers`).
     Raises RotorsimError for recordings with errors, and for those that do not fit the diagram.
     """
     how = Jobs(workers, scheduler, progress) if jobs is None else replace(jobs, progress=progress)
-    warnings = [*_checked(recording), *([] if hold_out is None else _checked(hold_out)), *parts_without_role(diagram)]
+    diagram, alone = load_standalone(diagram)
+    recording = renamed(recording, alone.named)
+    hold_out = None if hold_out is None else renamed(hold_out, alone.named)
+    warnings = [*alone.notes, *_checked(recording), *([] if hold_out is None else _checked(hold_out))]
+    warnings += parts_without_role(diagram)
     with local_workers(how, __name__) as kept:
         return _diagnosed(diagram, recording, hold_out, physics, kept, warnings)
 

@@ -18,7 +18,8 @@ from rotorsim.identification.harmonic.experiment import open_experiment
 from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.jobs.threads import one_thread
 from rotorsim.model.heard import Heard, hearing
-from rotorsim.model.load import load
+from rotorsim.model.load import load, load_standalone
+from rotorsim.recordings.orders import renamed
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonics import harmonics_of
 
@@ -50,10 +51,10 @@ class Locations(list[Location]):
     """
 
     def __init__(
-        self, found: Iterable[Location], failed: Mapping[tuple[int, ...], str], warnings: list[Problem]
+        self, found: Iterable[Location], failed: Mapping[tuple[int, ...], str], warnings: Iterable[Problem]
     ) -> None:
         super().__init__(found)
-        self.failed, self.warnings = dict(failed), warnings
+        self.failed, self.warnings = dict(failed), list(warnings)
 
 
 def locate(
@@ -71,6 +72,8 @@ def locate(
     """
     if count not in (1, 2):
         raise RotorsimError(Problem(f"count must be 1 or 2, not {count}", "locate"))
+    diagram, alone = load_standalone(diagram)
+    recording, block, given = renamed(recording, alone.named), alone.block(block), [*map(alone.named, given)]
     wires = _wires(diagram, block)
     nodes = _nodes(diagram, wires)
     document = dict(diagram.document)
@@ -101,7 +104,7 @@ def locate(
         for (places, item, moved), weight in zip(tried, weights, strict=True)
     ]
     why = {places: str(error.problems[0]) for places, error in failed.items()}
-    return Locations(sorted(found, key=lambda location: location.misfit), why, every.problems())
+    return Locations(sorted(found, key=lambda location: location.misfit), why, (*alone.notes, *every.problems()))
 
 
 def _wires(diagram: Diagram, block: str) -> list[Wire]:

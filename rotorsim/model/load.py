@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.resolve.resolution import raise_errors, resolve
+from rotorsim.diagram.standalone import Standalone, standalone
 from rotorsim.errors import RotorsimError
 from rotorsim.model.trace.order import block_traces, evaluation_order
 
@@ -36,3 +38,15 @@ def load(
     opaque = ((name, port) for name, node in diagram.nodes.items() if node.block.opaque for port in node.outputs)
     evaluation_order(diagram, opaque)  # loops through these are solved by some masters of a co-simulation
     return diagram
+
+
+def load_standalone(diagram: Diagram) -> tuple[Diagram, Standalone]:
+    """Return a diagram whose document can be changed as it stands: without sub-diagrams, removed blocks, settings.
+
+    Itself where there are none. Raises RotorsimError where what is left does not load, as a wire is missing.
+    """
+    alone = standalone(diagram)
+    if alone.document == diagram.document:
+        return diagram, alone
+    found = load(alone.document, folder=diagram.folder, trust_blocks=diagram.trusted)
+    return replace(found, name=diagram.name, file=diagram.file, warnings=diagram.warnings), alone

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -148,9 +148,24 @@ def load_orders(path: str | Path) -> OrderRecording:
     return replace(recording, channels=channels, runs=turned, warnings=tuple(warnings))
 
 
+Recorded = TypeVar("Recorded", bound=Recording | OrderRecording)
+
+
 def load_any(path: str | Path) -> Recording | OrderRecording:
     """Read a recording of samples or of orders. Raises RotorsimError with every mistake."""
     return load_orders(path) if recording_kind(path) == "orders" else load_recording(path)
+
+
+def renamed(recording: Recorded, named: Callable[[str], str]) -> Recorded:
+    """Return a recording with other names for the signals that it measures and the parameters that it sets."""
+    changed: dict[str, Any] = {
+        "channels": {column: replace(one, signal=named(one.signal)) for column, one in recording.channels.items()},
+        "runs": tuple(
+            replace(run, settings={named(name): value for name, value in run.settings.items()})
+            for run in recording.runs
+        ),
+    }
+    return replace(recording, **changed)
 
 
 @dataclass(frozen=True)

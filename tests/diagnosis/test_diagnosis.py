@@ -14,7 +14,12 @@ from rotorsim.diagnosis.conclude.wording import statement
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
 from rotorsim.diagnosis.evidence.evidence import HeldScore
 from rotorsim.diagnosis.files import diagnosis_data, diagnosis_schema, save_diagnosis
+from rotorsim.diagram.grouping import group
+from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.diagram.parse.source import read_document
+from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.model.load import load
+from rotorsim.recordings.orders import renamed
 from rotorsim.recordings.recording import Recording
 from rotorsim.simulation.run import simulate
 from tests.identification import OTHER_GAINS, TRUTH, made, recorded, shipped
@@ -70,6 +75,29 @@ def test_a_bow_is_named_located_and_measured(physics):
         j = names.index(f"residual_bow.{key}")
         assert abs(fit.theta[j] - value) < 4 * np.sqrt(fit.covariance[j, j])
         assert np.sqrt(fit.covariance[j, j]) < 0.02 * value
+
+
+def test_a_diagram_of_sub_diagrams_is_diagnosed_like_one_of_one_file(tmp_path):
+    """FAULT: a KeyError, since documents do not name what is inside of a sub-diagram."""
+    data = read_document(shipped_diagrams()["jeffcott"]).data
+    outer, inner = group(data, ["rotor", "controller", "crack"], "part", "part.json")
+    (tmp_path / "part.json").write_text(format_document(inner))
+    given = renamed(recording(True), lambda name: f"part/{name}" if name.startswith(("rotor.", "contr")) else name)
+    found = diagnose(load(outer, folder=tmp_path), given, physics=FEW, workers=1)
+    assert [effect.physics for effect in found.effects] == ["residual_bow"]
+    assert str(found.spots[0]) == "rotor.force"
+    told = "its sub-diagrams are dissolved: part/crack is crack, part/rotor is rotor, part/controller is controller"
+    assert [problem.what for problem in found.warnings if problem.subject == "jeffcott"] == [told]
+    flat = diagnose(shipped("jeffcott"), recording(True), physics=FEW, workers=1)
+    assert found.after.misfit == pytest.approx(flat.after.misfit, rel=1e-9)
+
+
+def test_blocks_that_were_removed_are_missing():
+    """FAULT: with a diagram loaded without its crack the crack was back, and nothing was missing."""
+    found = diagnose(load("jeffcott", without=["crack"]), recording(False), physics=("runout",), workers=1)
+    assert found.before.misfit > 100 * found.before.freedom
+    assert found.verdict == "outside_catalogue"
+    assert "crack" not in found.document["blocks"]
 
 
 def test_the_free_parameters_are_the_true_ones_again():

@@ -155,7 +155,7 @@ def test_free_parameters_inside_of_a_group_are_written_where_they_are(tmp_path: 
     assert written["blocks"]["rotor"]["parameters"]["mass"] == "2.5 kg"
     assert written["blocks"]["controller"]["parameters"]["KP"] == "12000.0 A/m"
     assert written["parameters"]["crack_stiffness"] == "200000.0 N/m"
-    assert written["blocks"]["amb"]["parameters"]["force_displacement_factor"] == "90000.0 N/m"
+    assert written["parameters"]["force_displacement_factor"] == "90000.0 N/m"
     assert wires(load(written)) == wires(load(data))
     in_memory = load(twice, folder=tmp_path)
     with pytest.raises(RotorsimError, match="is inside of a sub-diagram, whose file is not known"):

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from rotorsim.diagram.standalone import Standalone
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.identification import locate as locating
 from rotorsim.identification.harmonic.estimate import Search
@@ -98,6 +99,8 @@ def test_a_place_that_cannot_be_fitted_is_told(monkeypatch: pytest.MonkeyPatch) 
         "_nodes": lambda *_: [1, 2, 3],
         "_placed": lambda *given: given[-1],
         "load": lambda moved, **_: moved,
+        "load_standalone": lambda given: (given, Standalone({})),
+        "renamed": lambda given, _: given,
         "open_experiment": lambda model, *_, **__: model,
         "harmonics_of": lambda *_: [],
         "Likelihood": lambda experiment: experiment,

@@ -139,6 +139,7 @@ def _show_isolability(
     refuse_if(0 in at, f"--speeds {speeds}: the shaft does not turn", hint="leave 0 out")
     with progress_bar("signatures", progress) as bar:
         isolation = isolate(loaded, list(dict.fromkeys(sensors)), speeds=at, physics=physics, progress=bar)
+    show_problems(isolation.warnings)
     show(as_json, lambda: isolation_data(isolation), lambda: isolability_text(isolation))
 
 

@@ -18,7 +18,9 @@ from rotorsim.diagnosis.isolability.runs import Runs, runs_of
 from rotorsim.diagnosis.isolability.signatures import ALIAS, HARDLY, Shares, Signatures, signatures_of
 from rotorsim.diagnosis.isolability.structure import Gain, Structure
 from rotorsim.diagram.diagram import Diagram
+from rotorsim.diagram.standalone import Standalone
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.model.load import load_standalone
 
 MOST_TESTS = 1000
 
@@ -71,6 +73,7 @@ class Isolation:
     smallest: Gain
     laws: Laws | None = None
     why: str = ""
+    warnings: tuple[Problem, ...] = ()
 
 
 def isolate(
@@ -89,21 +92,28 @@ def isolate(
     the shaft, and diagrams that are linear.
     Raises RotorsimError for sensors that the diagram does not have.
     """
+    alone, why = Standalone({}), ""
+    try:
+        diagram, alone = load_standalone(diagram)
+    except RotorsimError as error:  # what is left without some blocks is no document, and laws are those of documents
+        why = error.problems[0].what
+    sensors = [*map(alone.named, sensors)]
     recorded = entries_of(diagram, sensors)
     candidates = Catalogue.of(diagram, physics).candidates(diagram, recorded)
     faults = {item.key: item for item in candidates if not item.read_off}  # the data themselves show those
     structure = structure_of(diagram, sensors, faults.values())
-    laws, why = None, ""
+    laws = None
     try:
-        runs = runs_of(diagram, speeds)
-        extra = _periodic(diagram, recorded, structure.extra, runs)
-        signals = list(dict.fromkeys([*recorded, *chain.from_iterable(extra.values())]))
-        signatures = signatures_of(diagram, list(faults.values()), signals, runs, progress=progress)
-        laws = _laws(signatures, recorded, extra)
+        if not why:
+            runs = runs_of(diagram, speeds)
+            extra = _periodic(diagram, recorded, structure.extra, runs)
+            signals = list(dict.fromkeys([*recorded, *chain.from_iterable(extra.values())]))
+            signatures = signatures_of(diagram, list(faults.values()), signals, runs, progress=progress)
+            laws = _laws(signatures, recorded, extra)
     except RotorsimError as error:
         why = error.problems[0].what
     placements, smallest = tuple(structure.placements()), structure.smallest()
-    return Isolation(diagram, tuple(sensors), faults, structure, placements, smallest, laws, why)
+    return Isolation(diagram, tuple(sensors), faults, structure, placements, smallest, laws, why, tuple(alone.notes))
 
 
 def _periodic(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rotorsim.block import Param
-from rotorsim.diagram.diagram import Free, Node
+from rotorsim.diagram.diagram import Diagram, Free, Node
 from rotorsim.diagram.parse.source import JsonPath, Source
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.errors import Problem, Problems, near_miss
@@ -248,3 +248,23 @@ def free_parameters(
                 reader.error(f"'{item.name}' is named twice", ("identify", name), key=True)
             free[item.name] = item
     return tuple(free.values()), reader.problems
+
+
+def uncertain(diagram: Diagram) -> dict[str, float]:
+    """Return the parameters that blocks declare with a tolerance, which nobody measured, and are not free; with it."""
+    free = {item.base for item in diagram.free}
+    found = {}
+    for name, node in diagram.nodes.items():
+        for key, declared in node.block.parameters.items():
+            full = f"{name}.{key}"
+            if declared.tolerance is not None and key not in node.references and full not in free:
+                found[full] = declared.tolerance
+    return found
+
+
+def uncertain_parameters(diagram: Diagram) -> tuple[Free, ...]:
+    """Return what is `uncertain` as free parameters, whose priors are the tolerances."""
+    given = {name: {"prior": {"std": tolerance}} for name, tolerance in uncertain(diagram).items()}
+    units = diagram.parameter_units
+    found, _ = free_parameters(Source(given), given, diagram.parameters, units, diagram.nodes)
+    return found

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from rotorsim.diagram.resolve.fitting import Fitting
 from rotorsim.diagram.resolve.free import free_parameters, unknown_names
 from rotorsim.diagram.resolve.measured import measured_signals
 from rotorsim.diagram.resolve.registry import Registry
+from rotorsim.diagram.resolve.settings import Settings
 from rotorsim.diagram.resolve.template import Templates
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.diagram.resolve.wiring import UNFINISHED, Wiring
@@ -91,7 +92,7 @@ def resolve(
 
         return resolve(source, set=with_entries(diagram_with, rest, entries), unfinished=unfinished, **more)
     document, root, said = _source(source, folder)
-    settings = _Settings.of({} if set is None else set)
+    settings = Settings.of({} if set is None else set)
     flat = flatten_document(document, root, settings.parameters, settings.blocks)
     problems = flat.problems
     problems += said
@@ -180,58 +181,6 @@ def _contradictions(node: Node) -> list[Problem]:
     except Exception as error:  # the code of the block is foreign
         messages = [f"check of block type '{kind}' fails: {type(error).__name__}: {error}"]
     return [Problem(message, node.name, node.place, f"see `rotorsim blocks {kind}`") for message in messages]
-
-
-@dataclass(frozen=True)
-class _Settings:
-    """What is set on top of a document: diagram parameters, parameters of blocks by flat name, the solver."""
-
-    parameters: dict[str, Any] = field(default_factory=dict)
-    blocks: dict[str, dict[str, Any]] = field(default_factory=dict)
-    solver: dict[str, Any] = field(default_factory=dict)
-
-    @staticmethod
-    def of(given: Mapping[str, Any]) -> _Settings:
-        """Sort settings by what their names mean. Raises RotorsimError for what is no mapping."""
-        if not isinstance(given, Mapping) or is_too_deep(dict(given)):
-            raise RotorsimError(Problem("settings are a mapping of names to values", hint='set={"speed": "1500 rpm"}'))
-        settings = _Settings()
-        for name, value in given.items():
-            block, dot, parameter = str(name).rpartition(".")
-            if not dot:
-                settings.parameters[parameter] = value
-            elif block == "solver":
-                settings.solver[parameter] = value
-            else:
-                settings.blocks.setdefault(block, {})[parameter] = value
-        return settings
-
-    def check(self, flat: FlatDocument) -> None:
-        """Report names that the document does not have."""
-        for name in [name for name in self.parameters if name not in flat.parameters]:
-            known = [*flat.parameters, *(f"{b}.{p}" for b, raw in flat.blocks.items() for p in raw.parameters)]
-            flat.problems.error(f"no diagram parameter '{name}'", name, Place("--set"), near_miss(name, known))
-        for name in [name for name in self.blocks if name not in flat.blocks and name not in flat.sub_diagrams]:
-            known = [*flat.blocks, *flat.sub_diagrams]
-            flat.problems.error(f"no block '{name}'", name, Place("--set"), near_miss(name, known))
-
-    def written_in(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a document with the settings in it; those inside sub-diagrams are kept under the key "set"."""
-        result = dict(data)
-        if self.parameters:
-            result["parameters"] = {**result["parameters"], **self.parameters}
-        if self.solver:
-            result["solver"] = {**result.get("solver", {}), **self.solver}
-        own = {name: values for name, values in self.blocks.items() if name in data["blocks"]}
-        if own:
-            written = {
-                name: {**data["blocks"][name], "parameters": {**data["blocks"][name].get("parameters", {}), **values}}
-                for name, values in own.items()
-            }
-            result["blocks"] = {**result["blocks"], **written}
-        others = {name: values for name, values in self.blocks.items() if name not in own}
-        inside = {f"{name}.{key}": value for name, values in others.items() for key, value in values.items()}
-        return {**result, "set": inside} if inside else result
 
 
 def _source(
