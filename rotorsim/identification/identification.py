@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.diagram.resolve.settings import with_finer_mesh
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice import Advice, advise
 from rotorsim.identification.harmonic.coordinates import stretched
-from rotorsim.identification.harmonic.estimate import Estimate, Residuals, Search, estimate
+from rotorsim.identification.harmonic.estimate import Estimate, Search, estimate
 from rotorsim.identification.harmonic.experiment import open_experiment
 from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.identification.harmonic.profile import joint_factor, linear_intervals, profile_intervals
 from rotorsim.identification.harmonic.regression import THESIS_ORDERS, open_regression
 from rotorsim.identification.harmonic.scatter import scatter_of, with_covariance
+from rotorsim.identification.held import Estimated, contradictions_of, with_contradictions
 from rotorsim.identification.in_orders import identify_orders
 from rotorsim.identification.in_time import identify_in_time
+from rotorsim.identification.meshes import on_fine_meshes
 from rotorsim.identification.result import Identification, Identified, sentences
 from rotorsim.identification.verdict import judge
 from rotorsim.identification.waveform.along_angle import is_in_time
@@ -56,6 +59,44 @@ class HarmonicIdentification(Identification):
         return {"excess_variance": self.excess, "goodness": self.goodness}
 
 
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """A diagram fitted to harmonics; opened: what compares another with them."""
+
+    diagram: Diagram
+    opened: Callable[[Diagram], Likelihood]
+    search: Search
+    estimate: Estimate
+
+    def change(self, block: str, parts: int) -> float:
+        """Return the square of what a finer mesh changes in the whitened prediction. Raises RotorsimError."""
+        finer = self.opened(with_finer_mesh(self.diagram, block, parts)).evaluate(self.estimate.theta)
+        change = finer.residual - self.estimate.evaluation.residual
+        return float(change @ change)
+
+    def finer(self, block: str, parts: int) -> _Fitted:
+        """Return the fit with a finer mesh, from where this one ended. Raises RotorsimError."""
+        return _fitted(with_finer_mesh(self.diagram, block, parts), self.opened, self.estimate.theta)
+
+    def worse_by(self, other: _Fitted) -> float:
+        """Return how much more another fit leaves."""
+        return other.estimate.misfit - self.estimate.misfit
+
+    def freed(self, more: Sequence[Free] = ()) -> Estimated:
+        """Return what is estimated with more parameters free, from where this fit ended. Raises RotorsimError."""
+        found = self.estimate
+        if more:
+            start = np.array([*found.theta, *(item.value for item in more)])
+            found = _fitted(replace(self.diagram, free=(*found.free, *more)), self.opened, start).estimate
+        return Estimated(found.free, found.theta, np.where(found.at_bound, np.inf, found.widening * found.std))
+
+
+def _fitted(diagram: Diagram, opened: Callable[[Diagram], Likelihood], start: np.ndarray | None = None) -> _Fitted:
+    """Return the most likely parameters from a start, the diagram as it is by default. Raises RotorsimError."""
+    search = Search(opened(diagram))
+    return _Fitted(diagram, opened, search, estimate(search, start))
+
+
 @said
 def identify(
     diagram: Diagram,
@@ -78,7 +119,8 @@ def identify(
     recording of orders, orders of a run-up (`identify_orders`). method: "likelihood" (errors in all measured signals,
     bounds, priors; intervals from the profile of the likelihood; in time: output error), or "regression" (the thesis'
     least squares, eq. (2.64)-(2.66), (3.47), (4.34), (5.18)). given: ports taken as measured inputs with their noise,
-    so that what makes them need not be right. precision: half width of the 90 % interval, as part of the value, that
+    so that what makes them need not be right. Meshes are refined as far as the recording shows it, and a warning says
+    so; by the likelihood. precision: half width of the 90 % interval, as part of the value, that
     counts as identified. hold_out: further runs that are only scored. orders, reduction: of the regression.
 
     Raises RotorsimError for recordings with errors, channels or settings that the diagram does not have, runs
@@ -117,14 +159,15 @@ def identify(
         hold_out = None if hold_out is None else through_converters(hold_out, steps)
         wanted_runs = None if runs is None else {run.id for run in runs}
         runs = runs if wanted_runs is None else [run for run in recording.runs if run.id in wanted_runs]
-    wanted = diagram.free if free is None else free
+    wanted = diagram.free if free is None else tuple(free)
+    diagram = replace(diagram, free=wanted)
     chosen = tuple(recording.select("identify") if runs is None else runs)
     with one_thread():  # many small matrices: threads cost more than they save
         found = tuple(harmonics_of(recording, chosen) if harmonics is None else harmonics)
         warnings += contradictions(found)
 
-        def likelihood(runs: tuple[RunHarmonics, ...]) -> Likelihood:
-            experiment = open_experiment(diagram, recording, runs=chosen, given=given, free=free, harmonics=runs)
+        def opened_with(diagram: Diagram) -> Likelihood:
+            experiment = open_experiment(diagram, recording, runs=chosen, given=given, harmonics=found)
             if not given:
                 refuse_sampled(experiment.model, "identification with the loop closed")
             return Likelihood(experiment)
@@ -134,17 +177,21 @@ def identify(
             regression = open_regression(
                 diagram, recording, runs=chosen, free=free, orders=orders, reduction=reduction, harmonics=found
             )
-        opened: Residuals = regression or likelihood(found)
-        search = Search(opened)
-        result = estimate(search)
+            search = Search(regression)
+            result = estimate(search)
+        else:
+            fitted, refined = on_fine_meshes(diagram, _fitted(diagram, opened_with))
+            diagram, search, result = fitted.diagram, fitted.search, fitted.estimate
+            warnings += [Problem(note, severity="warning") for note in refined]
         if method == "likelihood" and harmonics is None and not result.adequate:
             without, picked = with_pickups(recording, found, find_mains(recording, found))
             if picked:
-                found, opened = without, likelihood(without)
-                search = Search(opened)
-                result = estimate(search)
+                found = without
+                fitted = _fitted(diagram, opened_with)
+                search, result = fitted.search, fitted.estimate
                 treated = "it is fitted beside the harmonics"
                 warnings += pickup_warnings(picked, recording, "is asynchronous", treated)
+        contradicted = [] if method == "regression" else contradictions_of(diagram, fitted)
         adequate = method == "regression" or result.adequate
         widen = 1.0 if adequate else result.widening
         covariance = result.covariance * widen**2
@@ -160,13 +207,10 @@ def identify(
         verdicts = judge(result, intervals, precision=precision, widen=widen if method == "likelihood" else 1.0)
         left = [item.name for item, verdict in zip(result.free, verdicts, strict=True) if not verdict.identifiable]
         advice: list[Advice] = []
-        if left and method == "likelihood" and opened.experiment.motion.is_linear:
-            advice = advise(opened.experiment, result, left, precision)
-        used = (
-            given
-            if method == "likelihood"
-            else tuple(dict.fromkeys(n.partition("[")[0] for n in opened.experiment.given))
-        )
+        experiment = search.likelihood.experiment
+        if left and method == "likelihood" and experiment.motion.is_linear:
+            advice = advise(experiment, result, left, precision)
+        used = given if method == "likelihood" else tuple(dict.fromkeys(n.partition("[")[0] for n in experiment.given))
         fit, floor = _scores(diagram, recording, found, hold_out, result, used)
     kept = {item.name for item in result.free}
     warnings += [
@@ -204,10 +248,10 @@ def identify(
         noise_floor=floor,
         goodness=goodness,
         excess=excess,
-        adequate=adequate,
-        statement=_statement(method, parameters, adequate, result, advice),
+        adequate=adequate and not contradicted,
+        statement=with_contradictions(_statement(method, parameters, adequate, result, advice), contradicted),
         advice=tuple(advice),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *contradicted),
         diagram=diagram,
         runs=found,
         settings={"given": list(used), "orders": list(orders), "reduction": reduction, "precision": precision},

@@ -10,7 +10,10 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.diagram.resolve.settings import with_finer_mesh
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.identification.held import Estimated, contradictions_of, with_contradictions
+from rotorsim.identification.meshes import on_fine_meshes
 from rotorsim.identification.result import Identification, identified, sentences
 from rotorsim.identification.verdict import judge
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate
@@ -97,21 +100,13 @@ def identify_orders(
     the diagram diverges.
     """
     wanted = diagram.free if free is None else tuple(free)
-    chosen = recording.select("identify")
     _refuse(diagram, recording, method, given, wanted)
     diagram = replace(diagram, free=wanted)
     with one_thread():
-        tracked = tracked_orders(diagram, recording, chosen, wanted)
-        variance = order_noise(tracked, CRITERIA.resolution)
-        search = order_search(tracked, variance)
-        if not search.free:
-            what = "what was measured depends on none of the free parameters"
-            raise RotorsimError(Problem(what, diagram.name, Place(diagram.file), "measure a signal behind them"))
-        refuse_fast(search, search.first())
-        evaluation = search.minimise(search.first()).reached()
-        refuse_diverged(diagram, evaluation)
-        variance, search, evaluation = order_judged(search, evaluation, variance)
-        estimate = order_estimate(search, evaluation, variance)
+        fitted, refined = on_fine_meshes(diagram, _fitted(diagram, recording, wanted))
+        contradicted = contradictions_of(fitted.diagram, fitted)
+        diagram, search, estimate, variance = fitted.diagram, fitted.search, fitted.estimate, fitted.variance
+        evaluation, labels = estimate.evaluation, fitted.labels
         held = [(recording, recording.select("hold_out"))]
         held += [] if hold_out is None else [(hold_out, hold_out.runs)]
         compared = [_compared(search, evaluation, "identify")]
@@ -122,20 +117,20 @@ def identify_orders(
                 compared.append(_compared(other, at, "hold_out"))
     verdicts = judge(estimate, estimate.intervals, precision=precision)
     parameters, correlation = identified(estimate, verdicts)
-    adequate = estimate.goodness >= CRITERIA.not_explained or estimate.excess <= CRITERIA.model_error
     fit: dict[str, dict[str, float]] = {}
     for use in ("identify", "hold_out"):
         items = [item for group in compared for item in group if item.use == use]
         if items:
-            fit[use] = _errors(items, tracked.labels)
+            fit[use] = _errors(items, labels)
     kept = {item.name for item in estimate.free}
     notes = [*recording.warnings, *([] if hold_out is None else hold_out.warnings)]
+    notes += [*(Problem(note, severity="warning") for note in refined), *contradicted]
     notes += [
         Problem("is left out: no block follows it", f"identify.{item.name}", severity="warning")
         for item in wanted
         if item.name not in kept
     ]
-    noise = {label: float(np.sqrt(variance["", label])) for label in tracked.labels}
+    noise = {label: float(np.sqrt(variance["", label])) for label in labels}
     return OrderIdentification(
         method=method,
         parameters=parameters,
@@ -143,8 +138,8 @@ def identify_orders(
         fit=fit,
         noise_floor=_floor(compared[0], variance),
         excess=estimate.excess,
-        adequate=adequate,
-        statement=_statement(parameters, adequate, estimate),
+        adequate=estimate.adequate and not contradicted,
+        statement=with_contradictions(_statement(parameters, estimate), contradicted),
         advice=(),
         warnings=tuple(notes),
         diagram=diagram,
@@ -153,8 +148,71 @@ def identify_orders(
         runs=tuple(item for group in compared for item in group),
         slow_roll=_slow_roll(search, estimate),
         noise=noise,
-        units={channel.label: channel.unit for channel in tracked.channels},
+        units={channel.label: channel.unit for channel in fitted.tracked.channels},
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """A diagram fitted to the runs to identify from; variance: of the noise that it was weighed by."""
+
+    diagram: Diagram
+    recording: OrderRecording
+    wanted: tuple[Free, ...]
+    tracked: TrackedOrders
+    variance: dict[tuple[str, str], float]
+    search: OrderSearch
+    estimate: TimeEstimate
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What was measured, in words."""
+        return self.tracked.labels
+
+    def change(self, block: str, parts: int) -> float:
+        """Return the square of what a finer mesh changes in the whitened prediction. Raises RotorsimError."""
+        diagram = with_finer_mesh(self.diagram, block, parts)
+        runs = self.recording.select("identify")
+        finer = order_search(tracked_orders(diagram, self.recording, runs, self.wanted), self.variance)
+        refuse_fast(finer, finer.first())
+        return self.search.change(self.estimate.evaluation, finer)
+
+    def finer(self, block: str, parts: int) -> _Fitted:
+        """Return the fit with a finer mesh, from where this one ended. Raises RotorsimError."""
+        diagram = with_finer_mesh(self.diagram, block, parts)
+        return _fitted(diagram, self.recording, self.wanted, self.estimate.evaluation.unknowns)
+
+    def worse_by(self, other: _Fitted) -> float:
+        """Return how much more another fit leaves, weighted as here."""
+        return self.search.squares(other.estimate.evaluation) - self.search.squares(self.estimate.evaluation)
+
+    def freed(self, more: Sequence[Free] = ()) -> Estimated:
+        """Return what is estimated with more parameters free, from where this fit ended. Raises RotorsimError."""
+        found = self.estimate
+        if more:
+            parts = found.evaluation.unknowns
+            start = np.concatenate([parts[: found.m], [item.value for item in more], parts[found.m :]])
+            found = _fitted(self.diagram, self.recording, (*self.wanted, *more), start).estimate
+        return Estimated(found.free, found.theta, found.std)
+
+
+def _fitted(
+    diagram: Diagram, recording: OrderRecording, wanted: tuple[Free, ...], start: np.ndarray | None = None
+) -> _Fitted:
+    """Return the estimate from a start, the diagram as it is by default. Raises RotorsimError."""
+    tracked = tracked_orders(diagram, recording, recording.select("identify"), wanted)
+    variance = order_noise(tracked, CRITERIA.resolution)
+    search = order_search(tracked, variance)
+    if not search.free:
+        what = "what was measured depends on none of the free parameters"
+        raise RotorsimError(Problem(what, diagram.name, Place(diagram.file), "measure a signal behind them"))
+    start = search.first() if start is None else start
+    refuse_fast(search, start)
+    evaluation = search.minimise(start).reached()
+    refuse_diverged(diagram, evaluation)
+    variance, search, evaluation = order_judged(search, evaluation, variance)
+    estimate = order_estimate(search, evaluation, variance)
+    return _Fitted(diagram, recording, wanted, tracked, variance, search, estimate)
 
 
 @dataclass(frozen=True)
@@ -345,10 +403,10 @@ def _floor(items: Sequence[ComparedOrders], variance: Mapping[tuple[str, str], f
     return found
 
 
-def _statement(parameters: Mapping[str, Any], adequate: bool, estimate: TimeEstimate) -> str:
+def _statement(parameters: Mapping[str, Any], estimate: TimeEstimate) -> str:
     """Return what was found in plain words."""
     parts = sentences(parameters, (), "")
-    if adequate:
+    if estimate.adequate:
         return " ".join(parts)
     wrong = (
         f"The model does not explain the data: the residual has {estimate.excess:.3g} times the variance of the noise "

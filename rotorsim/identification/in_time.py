@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram, Free
+from rotorsim.diagram.resolve.settings import with_finer_mesh
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.identification.advice import Advice
 from rotorsim.identification.advice_in_time import TRIED, advise_in_time
+from rotorsim.identification.held import Estimated, contradictions_of, with_contradictions
+from rotorsim.identification.meshes import on_fine_meshes
 from rotorsim.identification.result import Identification, Identified, identified, sentences
 from rotorsim.identification.verdict import judge
 from rotorsim.identification.waveform.along_angle import (
@@ -30,7 +32,7 @@ from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.errors import errors_of
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate, with_angle_errors, with_late_pulses
 from rotorsim.identification.waveform.hum import with_mains_hum
-from rotorsim.identification.waveform.late_pulses import on_time
+from rotorsim.identification.waveform.late_pulses import OnTime, on_time
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
@@ -107,15 +109,13 @@ def identify_in_time(
     channels = marked(channels, sampled)
     diagram = replace(diagram, free=wanted)
     with one_thread():
-        timed = on_time(diagram, channels, sampled, late)
+        source = _Source(channels, sampled, late, as_turned if turns else None)
+        fitted, refined = on_fine_meshes(diagram, _fitted(diagram, source))
+        diagram, timed, estimate = fitted.diagram, fitted.timed, fitted.widened(fitted.estimate)
+        contradicted = contradictions_of(diagram, fitted)
         sampled, noise = timed.runs, timed.noise
         held_out = tuple(turned_later(run, diagram, timed.shift) for run in held_out)
         held_out = with_mains_hum(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
-        estimate = _estimated(diagram, channels, sampled, noise)
-        if timed.std:
-            estimate = with_late_pulses(estimate, [turned_later(run, diagram, timed.std) for run in sampled])
-        if turns:
-            estimate = with_angle_errors(estimate, [with_angle_off(diagram, as_turned, run) for run in sampled])
         verdicts = judge(estimate, estimate.intervals, precision=precision)
         left = [item.name for item, one in zip(estimate.free, verdicts, strict=True) if not one.identifiable]
         advice = advise_in_time(estimate, noise, channels, left, precision) if left else []
@@ -124,6 +124,7 @@ def identify_in_time(
     errors = errors_of(estimate.search, [(estimate.evaluation, [slice(None)] * len(sampled))])
     fit = {"identify": errors.nrmse if errors else {}}
     notes = [*(one for one in warnings if turns or one.code not in TURNING), *notes_of([*sampled, *held_out])]
+    notes += [*(Problem(note, severity="warning") for note in refined), *contradicted]
     if scored is not None:
         search, evaluation = scored
         held_errors = errors_of(search, [(evaluation, [slice(None)] * len(held_out))])
@@ -138,7 +139,6 @@ def identify_in_time(
         if item.name not in kept
     ]
     parameters, correlation = identified(estimate, verdicts)
-    adequate = estimate.goodness >= CRITERIA.not_explained or estimate.excess <= CRITERIA.model_error
     return TimeIdentification(
         method=method,
         parameters=parameters,
@@ -146,8 +146,8 @@ def identify_in_time(
         fit=fit,
         noise_floor=errors.floor(variance) if errors else {},
         excess=estimate.excess,
-        adequate=adequate,
-        statement=_statement(parameters, adequate, estimate, advice),
+        adequate=estimate.adequate and not contradicted,
+        statement=with_contradictions(_statement(parameters, estimate, advice), contradicted),
         advice=tuple(advice),
         warnings=tuple(notes),
         diagram=diagram,
@@ -178,14 +178,77 @@ def _refuse(diagram: Diagram, method: str, given: Sequence[str], wanted: Sequenc
         raise RotorsimError(*problems)
 
 
-def _estimated(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], noise: NoiseModel) -> TimeEstimate:
-    """Return the estimate from where the noise was found."""
-    weights = weights_of(noise.variance, runs, noise.rows)
-    search = OutputErrorSearch(subsystems_of(diagram, channels), runs, weights, noise.least)
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """What a diagram is fitted to: runs as they were read, before what is late and hum were seen in them.
+
+    late: standard deviation of the time by which pulses are late [s]; turned: the recording of a shaft that turns.
+    """
+
+    channels: Channels
+    runs: Sequence[SampledRun]
+    late: float
+    turned: Recording | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """A diagram fitted to runs."""
+
+    diagram: Diagram
+    source: _Source
+    timed: OnTime
+    estimate: TimeEstimate
+
+    def change(self, block: str, parts: int) -> float:
+        """Return the square of what a finer mesh changes in the whitened prediction."""
+        search, diagram = self.estimate.search, with_finer_mesh(self.diagram, block, parts)
+        finer = replace(search, systems=subsystems_of(diagram, self.source.channels))
+        return search.change(self.estimate.evaluation, finer)
+
+    def finer(self, block: str, parts: int) -> _Fitted:
+        """Return the fit with a finer mesh, from where this one ended. Raises RotorsimError."""
+        near = replace(self.timed.noise, theta=self.estimate.theta, starts={})
+        return _fitted(with_finer_mesh(self.diagram, block, parts), self.source, near)
+
+    def worse_by(self, other: _Fitted) -> float:
+        """Return how much more another fit leaves, weighted as here."""
+        search = self.estimate.search
+        return search.squares(other.estimate.evaluation) - search.squares(self.estimate.evaluation)
+
+    def freed(self, more: Sequence[Free] = ()) -> Estimated:
+        """Return what is estimated with more parameters free, from where this fit ended. Raises RotorsimError."""
+        found = self.estimate
+        if more:
+            near = dict(zip((item.name for item in found.free), found.theta.tolist(), strict=True))
+            diagram = replace(self.diagram, free=(*self.diagram.free, *more))
+            found = _estimated(diagram, self.source.channels, self.timed, near)
+        found = self.widened(found)
+        return Estimated(found.free, found.theta, found.std)
+
+    def widened(self, found: TimeEstimate) -> TimeEstimate:
+        """Return an estimate that allows for what is not known of pulses and of the angle."""
+        runs, turned = self.timed.runs, self.source.turned
+        if self.timed.std:
+            found = with_late_pulses(found, [turned_later(run, self.diagram, self.timed.std) for run in runs])
+        if turned is None:
+            return found
+        return with_angle_errors(found, [with_angle_off(self.diagram, turned, run) for run in runs])
+
+
+def _fitted(diagram: Diagram, source: _Source, near: NoiseModel | None = None) -> _Fitted:
+    """Return the estimate from where the noise was found; near: of a diagram that is almost the same."""
+    timed = on_time(diagram, source.channels, source.runs, source.late, near)
+    return _Fitted(diagram, source, timed, _estimated(diagram, source.channels, timed, timed.noise.near))
+
+
+def _estimated(diagram: Diagram, channels: Channels, timed: OnTime, near: Mapping[str, float]) -> TimeEstimate:
+    """Return the estimate of what is free in a diagram, from values ``near`` by name."""
+    noise = timed.noise
+    weights = weights_of(noise.variance, timed.runs, noise.rows)
+    search = OutputErrorSearch(subsystems_of(diagram, channels), timed.runs, weights, noise.least)
     _refuse_unseen(search, diagram)
-    start = search.first(noise.starts)
-    start[: search.m] = noise.theta
-    found = search.minimise(start).reached()
+    found = search.minimise(search.stated(search.first(noise.starts), near)).reached()
     if search.limited and not clock_ports(diagram):
         found = by_differences(search, found)
     return time_estimate(search, found, noise)
@@ -225,12 +288,10 @@ def _simulated(search: OutputErrorSearch, evaluation: Evaluation, use: str) -> l
     return found
 
 
-def _statement(
-    parameters: Mapping[str, Identified], adequate: bool, estimate: TimeEstimate, advice: Sequence[Advice]
-) -> str:
+def _statement(parameters: Mapping[str, Identified], estimate: TimeEstimate, advice: Sequence[Advice]) -> str:
     """Return what was found in plain words."""
     parts = sentences(parameters, advice, TRIED)
-    if adequate:
+    if estimate.adequate:
         return " ".join(parts)
     wrong = (
         f"The model does not explain the data: the residual has {estimate.excess:.3g} times the variance of what "

@@ -8,7 +8,8 @@ from scipy.optimize import OptimizeResult
 
 from rotorsim.identification.harmonic import estimate
 from rotorsim.identification.harmonic.coordinates import Coordinates
-from rotorsim.identification.harmonic.estimate import Search
+from rotorsim.identification.harmonic.estimate import Search, is_least
+from rotorsim.identification.harmonic.likelihood import Evaluation
 
 SHARE, TIME = 0.7, 48e-6
 S = 2j * np.pi * np.linspace(5.0, 500.0, 300)
@@ -94,3 +95,14 @@ def test_a_search_that_runs_out_of_evaluations_goes_on_within_bounds(monkeypatch
     start = np.array([1.1 * TIME, 0.9 * SHARE]) / lag.scale
     assert lag.search().minimise(start) * lag.scale == pytest.approx([TIME, SHARE], rel=1e-9)
     assert lag.search().minimise(start, most=5) == pytest.approx(start, rel=1e-8)  # first steps stay first steps
+
+
+@pytest.mark.parametrize(("rows", "misfit"), [(100, 118.498), (4000, 4115.045)])
+def test_no_other_start_is_followed_below_what_one_noise_in_ten_exceeds(rows, misfit):
+    """Of chi-squared; 1.2 times 4000 equations, say, is nine standard deviations more than noise leaves."""
+
+    def left(misfit: float) -> Evaluation:
+        return Evaluation(np.zeros(rows), np.zeros((rows, 0)), np.full(2, misfit / 2), np.zeros(0), rows)
+
+    assert is_least(left(misfit - 0.01))
+    assert not is_least(left(misfit + 0.01))

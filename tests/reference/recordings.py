@@ -62,7 +62,7 @@ class Truth:
     """The true parameters, SI and rad, with the values of the shipped diagrams; each model uses its `PARAMETERS`.
 
     `truth["support_left.stiffness[1]"]` gives a value by the product's name, `truth.changed({name: value})` another
-    truth. Pairs are [x, y].
+    truth. Pairs are [x, y]. parts: beams that make up each element of the model with rigid supports.
     """
 
     viscous_damping: float = 76.0
@@ -78,6 +78,8 @@ class Truth:
     unbalance_phase2: float = float(np.radians(45.0))
     mass_damping: float = 0.154
     stiffness_damping: float = 1e-5
+    disc_damping: float = 0.0
+    parts: int = 1
     support_left_stiffness: tuple[float, float] = (495.82e6, 950.13e6)
     support_left_damping: tuple[float, float] = (500.0, 500.0)
     support_right_stiffness: tuple[float, float] = (355.82e6, 805.82e6)
@@ -157,9 +159,13 @@ def _offset_disc(truth: Truth) -> Model:
 
 def _fe_rigid(truth: Truth) -> Model:
     """Return chapter 4: columns x1, y1, ..., x6, y6; the pinned nodes 1 and 6 do not move."""
-    rotor = models.fe_rigid(a0=truth.mass_damping, a1=truth.stiffness_damping)
-    rotor = replace(rotor, discs=((rotor.amb, 2.0, truth.eccentricity, truth.unbalance_phase),))
-    return rotor, {"1": None, **dict(zip("2345", rotor.translations, strict=True)), "6": None}
+    rotor = models.fe_rigid(5 * truth.parts, a0=truth.mass_damping, a1=truth.stiffness_damping)
+    damping = rotor.damping.copy()
+    damping[rotor.amb, rotor.amb] += truth.disc_damping
+    discs = ((rotor.amb, 2.0, truth.eccentricity, truth.unbalance_phase),)
+    rotor = replace(rotor, damping=damping, discs=discs)
+    nodes = rotor.translations[truth.parts - 1 :: truth.parts]
+    return rotor, {"1": None, **dict(zip("2345", nodes, strict=True)), "6": None}
 
 
 def _fe_flexible(truth: Truth) -> Model:

@@ -4,32 +4,29 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Evidence
-from rotorsim.diagnosis.evidence.fit import Fit
+from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagram.diagram import Diagram
-
-FINEST = 8
-BY_HALVING = 256  # of the square of what meshes get wrong, by half the length: cubic elements err with its fourth power
+from rotorsim.diagram.resolve.free import uncertain
+from rotorsim.diagram.resolve.settings import Settings
+from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.meshes import on_fine_meshes
 
 
 def with_uncertain(diagram: Diagram) -> dict[str, Any]:
     """Return the document with parameters free that their blocks declare with a tolerance, as priors."""
     document = copy.deepcopy(dict(diagram.document))
     wanted = document.setdefault("identify", {})
-    for name, node in diagram.nodes.items():
-        for key, declared in node.block.parameters.items():
-            full = f"{name}.{key}"
-            if declared.tolerance is None or key in node.references or "/" in name:
-                continue
-            if not any(str(given).partition("[")[0] == full for given in wanted):
-                wanted[full] = {"prior": {"std": declared.tolerance}}
-                _write_out(document, name, key, node.values[key])
+    for full, tolerance in uncertain(diagram).items():
+        block, _, key = full.rpartition(".")
+        wanted[full] = {"prior": {"std": tolerance}}
+        _write_out(document, block, key, diagram.nodes[block].values[key])
     for item in diagram.free:
         block, _, key = item.base.rpartition(".")
         if "[" in item.name and block:
@@ -45,43 +42,54 @@ def _write_out(document: dict[str, Any], block: str, key: str, values: np.ndarra
         document["blocks"][block].setdefault("parameters", {})[key] = values.tolist()
 
 
+@dataclass(frozen=True, eq=False)
+class _DocumentFit:
+    """A fit to evidence, as meshes are refined for it."""
+
+    diagram: Diagram
+    evidence: Evidence
+    fit: Fit
+
+    @property
+    def estimate(self) -> _DocumentFit:
+        """What the fit leaves."""
+        return self
+
+    @property
+    def adequate(self) -> bool:
+        """Whether noise explains what it leaves."""
+        return is_adequate(self.fit)
+
+    def change(self, block: str, parts: int) -> float:
+        """Return the square of what a finer mesh changes in the whitened prediction, 0 where there is none."""
+        document = values_in(self.fit.document, self.fit.values)
+        coarse, fine = (self.evidence.residual(d) for d in (document, self._meshed(document, block, parts)))
+        if coarse is None or fine is None:
+            return 0.0
+        return float((fine - coarse) @ (fine - coarse))
+
+    def finer(self, block: str, parts: int) -> _DocumentFit:
+        """Return the fit with a finer mesh, from where this one ended. Raises RotorsimError."""
+        finer = self.evidence.fit(self._meshed(self.fit.document, block, parts), [[dict(self.fit.values)]])
+        if finer.failure:
+            raise RotorsimError(Problem(finer.failure, block))
+        return replace(self, fit=finer)
+
+    def worse_by(self, other: _DocumentFit) -> float:
+        """Return how much more another fit leaves."""
+        return other.fit.misfit - self.fit.misfit
+
+    def _meshed(self, document: Mapping[str, Any], block: str, parts: int) -> Mapping[str, Any]:
+        return Settings.of({f"{block}.{self.diagram.nodes[block].block.refinement}": parts}).written_in(document)
+
+
 def base_fit(diagram: Diagram, evidence: Evidence) -> tuple[Fit, list[str]]:
     """Return the fit of a diagram to a recording, on meshes so fine that finer ones change nothing; what was refined.
 
-    A block that declares ``refinement`` is refined until a finer mesh changes the whitened prediction by less than
-    `Criteria.mesh_visible` (sum of squares).
+    See `on_fine_meshes`.
     """
     found = evidence.fit(with_uncertain(diagram), [])
-    notes: list[str] = []
-    for name, node in diagram.nodes.items():
-        option = node.block.refinement
-        if option is None or found.failure:
-            continue
-        level = int(getattr(node.block.option, option))
-        while level < FINEST:
-            change = _change(found, evidence, name, option, 2 * level)
-            if change <= CRITERIA.mesh_visible:
-                break
-            finer = evidence.fit(_with_option(found.document, name, option, 2 * level), [[dict(found.values)]])
-            if finer.failure:
-                break
-            found, level = finer, 2 * level
-            notes.append(f"{name}: {option} {level}, for what the coarser mesh gets wrong shows in these data")
-            if level >= FINEST and change > BY_HALVING * CRITERIA.mesh_visible:
-                notes[-1] += "; a finer one would show, too"
-    return found, notes[-1:]
-
-
-def _change(fit: Fit, evidence: Evidence, block: str, option: str, value: int) -> float:
-    """Return the square of what a finer mesh changes in the whitened prediction, 0 where there is none."""
-    document = values_in(fit.document, fit.values)
-    coarse, fine = (evidence.residual(d) for d in (document, _with_option(document, block, option, value)))
-    if coarse is None or fine is None:
-        return 0.0
-    return float((fine - coarse) @ (fine - coarse))
-
-
-def _with_option(document: Mapping[str, Any], block: str, option: str, value: int) -> Mapping[str, Any]:
-    changed = dict(document["blocks"][block])
-    changed["parameters"] = {**changed.get("parameters", {}), option: value}
-    return {**document, "blocks": {**document["blocks"], block: changed}}
+    if found.failure:
+        return found, []
+    meshed, notes = on_fine_meshes(diagram, _DocumentFit(diagram, evidence, found))
+    return meshed.fit, notes

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import t as student
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Free
 from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.data import SampledRun
@@ -72,6 +73,11 @@ class TimeEstimate:
     def excess(self) -> float:
         """Variance of the residual over what counts as noise."""
         return self.misfit / max(self.rows - self.m, 1)
+
+    @property
+    def adequate(self) -> bool:
+        """Whether what cannot be predicted explains what it leaves."""
+        return self.goodness >= CRITERIA.not_explained or self.excess <= CRITERIA.model_error
 
     @property
     def quantile(self) -> float:

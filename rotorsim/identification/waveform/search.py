@@ -285,6 +285,26 @@ class OutputErrorSearch:
                 information[j, j] += 1 / item.prior_std**2
         return Evaluation(unknowns, sub, cost, residuals, jacobians, gradient, information)
 
+    def change(self, before: Evaluation, other: OutputErrorSearch) -> float:
+        """Return the weighted sum of squares by which another diagram of these parameters differs.
+
+        From the starts at which it fits best; infinite where it diverges.
+        """
+        start = other.first()
+        start[: self.m] = before.unknowns[: self.m]
+        after = replace(other, hold="theta").minimise(start)
+        if not np.isfinite(after.cost):
+            return np.inf
+        residuals = [
+            [a - b for a, b in zip(*pair, strict=True)] for pair in zip(before.residuals, after.residuals, strict=True)
+        ]
+        return self.squares(replace(before, residuals=residuals))
+
+    def squares(self, found: Evaluation) -> float:
+        """Return the weighted sum of squares of residuals."""
+        weighted = (self.root(k, r) * np.nan_to_num(found.residuals[k][r]) for k, r in self.pairs)
+        return sum(float(np.vdot(own, own)) for own in weighted)
+
     @cached_property
     def unlimited(self) -> OutputErrorSearch:
         """The search in which laws go on beyond where they are defined; itself where all are defined everywhere."""

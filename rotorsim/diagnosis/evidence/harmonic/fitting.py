@@ -9,15 +9,14 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from rotorsim.diagnosis.evidence.fit import DEFERRED, FAILURES, Fit, Starts, failed_fit
 from rotorsim.diagnosis.evidence.harmonic.runs import HarmonicRuns
 from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
 from rotorsim.identification.harmonic.drifting import LaggingLikelihood, likelihood_of
-from rotorsim.identification.harmonic.estimate import MOST_EVALUATIONS, Estimate, Search, summary
+from rotorsim.identification.harmonic.estimate import MOST_EVALUATIONS, Estimate, Search, is_least, summary
 from rotorsim.identification.harmonic.experiment import Experiment
-from rotorsim.identification.harmonic.likelihood import Evaluation, Likelihood
+from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.identification.harmonic.profile import linear_intervals
 from rotorsim.identification.left_out import RANK_TOLERANCE, left_out
 from rotorsim.model.heard import surviving
@@ -30,9 +29,6 @@ FOLLOWED_FROM = 15  # evaluations after which what leaves too much is no rival
 LINEAR_STARTS = 2  # that are followed to the end
 LINEAR_FOLLOWED = 4  # one more of a group, from the most promising on, for so many starts that a fault declares
 CORNERS, SHARP_EVALUATIONS = 20.0, 8  # misfit per degree of freedom that more orders of a law with corners explain
-# probability of a larger misfit by noise alone, from which on no other start is followed: one right fit in ten follows
-# them for nothing, and what ends 1.3 standard deviations of chi-squared above its minimum does not end there
-LEAST_LEVEL = 0.1
 TURN = 2 * np.pi
 ROUNDED = 1e6  # parts of a radian in which angles are compared
 
@@ -62,7 +58,7 @@ def fit_document(
             return Fit(document, failure=DEFERRED, nonlinear=True, seconds=process_time() - began)
         search = Search(runs.likelihood(experiment))
         best = _best(search, experiment, starts, most, beyond)
-        if nonlinear and most is None and not _is_least(best.evaluation) and best.excess < CORNERS:
+        if nonlinear and most is None and not is_least(best.evaluation) and best.excess < CORNERS:
             best = _sharpened(search, best, runs)
     except FAILURES as error:
         return failed_fit(document, error, nonlinear=nonlinear, seconds=process_time() - began)
@@ -188,16 +184,11 @@ def _best(search: Search, experiment: Experiment, starts: Starts, most: int | No
         cost = float(r @ r) * search.preference(found)
         if cost < least * (1 - 1e-9):
             best, least = found, cost
-        if _is_least(search.evaluation(found)):
+        if is_least(search.evaluation(found)):
             break
     if best is None:
         raise ValueError("no periodic motion was found")
     return summary(search, best)
-
-
-def _is_least(found: Evaluation) -> bool:
-    """Return whether noise alone leaves as much as a minimum does, so that there is hardly a lower one."""
-    return float(chi2.sf(found.misfit.sum(), max(found.rows, 1))) > LEAST_LEVEL
 
 
 def _sharpened(search: Search, best: Estimate, runs: HarmonicRuns) -> Estimate:
