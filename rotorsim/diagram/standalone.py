@@ -12,10 +12,10 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.grouping import Document, dissolve
 from rotorsim.diagram.parse.document import free_name
 from rotorsim.diagram.parse.source import read_document
+from rotorsim.diagram.resolve.settings import SET
 from rotorsim.errors import Problem, RotorsimError
 
 SHOWN = 8  # names in a message
-SET = "set"  # key of what was set inside of sub-diagrams, in the document of a diagram
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,8 @@ from rotorsim.diagram.parse.document import FlatDocument
 from rotorsim.diagram.parse.source import is_too_deep
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
 
+SET = "set"  # key of what was set inside of sub-diagrams, in the document of a diagram; no file has it
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -46,7 +48,7 @@ class Settings:
             flat.problems.error(f"no block '{name}'", name, Place("--set"), near_miss(name, known))
 
     def written_in(self, data: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a document with the settings in it; those inside sub-diagrams are kept under the key "set"."""
+        """Return a document with the settings in it; those inside sub-diagrams are kept under SET."""
         result = dict(data)
         if self.parameters:
             result["parameters"] = {**result["parameters"], **self.parameters}
@@ -61,7 +63,7 @@ class Settings:
             result["blocks"] = {**result["blocks"], **written}
         others = {name: values for name, values in self.blocks.items() if name not in own}
         inside = {f"{name}.{key}": value for name, values in others.items() for key, value in values.items()}
-        return {**result, "set": {**result.get("set", {}), **inside}} if inside else result
+        return {**result, SET: {**result.get(SET, {}), **inside}} if inside else result
 
 
 def with_finer_mesh(diagram: Diagram, name: str, parts: int) -> Diagram:
