@@ -34,7 +34,7 @@ from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimat
 from rotorsim.identification.waveform.hum import with_mains_hum
 from rotorsim.identification.waveform.late_pulses import OnTime, on_time
 from rotorsim.identification.waveform.noise import weights_of
-from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel
+from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel, noise_model
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
@@ -109,8 +109,10 @@ def identify_in_time(
     channels = marked(channels, sampled)
     diagram = replace(diagram, free=wanted)
     with one_thread():
-        source = _Source(channels, sampled, late, as_turned if turns else None)
-        fitted, refined = on_fine_meshes(diagram, _fitted(diagram, source))
+        timed = on_time(diagram, channels, sampled, late)
+        estimate = _estimated(diagram, channels, timed, timed.noise.near)
+        fitted = _Fitted(diagram, channels, as_turned if turns else None, timed, estimate)
+        fitted, refined = on_fine_meshes(diagram, fitted)
         diagram, timed, estimate = fitted.diagram, fitted.timed, fitted.widened(fitted.estimate)
         contradicted = contradictions_of(diagram, fitted)
         sampled, noise = timed.runs, timed.noise
@@ -179,37 +181,28 @@ def _refuse(diagram: Diagram, method: str, given: Sequence[str], wanted: Sequenc
 
 
 @dataclass(frozen=True, eq=False)
-class _Source:
-    """What a diagram is fitted to: runs as they were read, before what is late and hum were seen in them.
-
-    late: standard deviation of the time by which pulses are late [s]; turned: the recording of a shaft that turns.
-    """
-
-    channels: Channels
-    runs: Sequence[SampledRun]
-    late: float
-    turned: Recording | None
-
-
-@dataclass(frozen=True, eq=False)
 class _Fitted:
-    """A diagram fitted to runs."""
+    """A diagram fitted to runs; turned: their recording, where a shaft turns."""
 
     diagram: Diagram
-    source: _Source
+    channels: Channels
+    turned: Recording | None
     timed: OnTime
     estimate: TimeEstimate
 
     def change(self, block: str, parts: int) -> float:
         """Return the square of what a finer mesh changes in the whitened prediction."""
         search, diagram = self.estimate.search, with_finer_mesh(self.diagram, block, parts)
-        finer = replace(search, systems=subsystems_of(diagram, self.source.channels))
+        finer = replace(search, systems=subsystems_of(diagram, self.channels))
         return search.change(self.estimate.evaluation, finer)
 
     def finer(self, block: str, parts: int) -> _Fitted:
         """Return the fit with a finer mesh, from where this one ended. Raises RotorsimError."""
-        near = replace(self.timed.noise, theta=self.estimate.theta, starts={})
-        return _fitted(with_finer_mesh(self.diagram, block, parts), self.source, near)
+        diagram, near = with_finer_mesh(self.diagram, block, parts), replace(self.timed.noise, starts={})
+        noise = noise_model(diagram, self.channels, self.timed.runs, near)
+        timed = replace(self.timed, noise=noise)
+        estimate = _estimated(diagram, self.channels, timed, noise.near)
+        return replace(self, diagram=diagram, timed=timed, estimate=estimate)
 
     def worse_by(self, other: _Fitted) -> float:
         """Return how much more another fit leaves, weighted as here."""
@@ -222,24 +215,18 @@ class _Fitted:
         if more:
             near = dict(zip((item.name for item in found.free), found.theta.tolist(), strict=True))
             diagram = replace(self.diagram, free=(*self.diagram.free, *more))
-            found = _estimated(diagram, self.source.channels, self.timed, near)
+            found = _estimated(diagram, self.channels, self.timed, near)
         found = self.widened(found)
         return Estimated(found.free, found.theta, found.std)
 
     def widened(self, found: TimeEstimate) -> TimeEstimate:
         """Return an estimate that allows for what is not known of pulses and of the angle."""
-        runs, turned = self.timed.runs, self.source.turned
+        runs, turned = self.timed.runs, self.turned
         if self.timed.std:
             found = with_late_pulses(found, [turned_later(run, self.diagram, self.timed.std) for run in runs])
         if turned is None:
             return found
         return with_angle_errors(found, [with_angle_off(self.diagram, turned, run) for run in runs])
-
-
-def _fitted(diagram: Diagram, source: _Source, near: NoiseModel | None = None) -> _Fitted:
-    """Return the estimate from where the noise was found; near: of a diagram that is almost the same."""
-    timed = on_time(diagram, source.channels, source.runs, source.late, near)
-    return _Fitted(diagram, source, timed, _estimated(diagram, source.channels, timed, timed.noise.near))
 
 
 def _estimated(diagram: Diagram, channels: Channels, timed: OnTime, near: Mapping[str, float]) -> TimeEstimate:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,21 +12,47 @@ ZERO_EIGENVALUE = 1e-13  # of the largest eigenvalue: below, it is rounding
 HELD_BY_NONE = 1e-8  # 1 - leverage of a direction that no other run determines: it is not predicted from them
 
 
-def left_out(residual: np.ndarray, jacobian: np.ndarray, sizes: Sequence[int]) -> np.ndarray:
-    """Return the misfit of each run when it is predicted from the others, (R,), by linear theory.
+@dataclass(frozen=True, eq=False)
+class Products:
+    """What parts of the data say: of whitened residuals r and Jacobians J of B parts r^T r, J^T r and J^T J.
 
-    e_r = (I - J_r (J^T J)^-1 J_r^T)^-1 r_r,  with  (I - J C J^T)^-1 = I + J (C^-1 - J^T J)^-1 J^T  (Woodbury)
+    squares (B,), gradients (B, m), information (B, m, m).
     """
-    norm = np.linalg.norm(jacobian, axis=0)
-    J = jacobian / np.where(norm > 0, norm, 1.0)
-    information = J.T @ J
+
+    squares: np.ndarray
+    gradients: np.ndarray
+    information: np.ndarray
+
+    def of(self, which: np.ndarray) -> Products:
+        """Return those of some parameters."""
+        return Products(self.squares, self.gradients[:, which], self.information[:, which][:, :, which])
+
+    def left_out(self) -> np.ndarray:
+        """Return the misfit of each part when it is predicted from the others, (B,), by linear theory.
+
+        e_r = (I - J_r (J^T J)^-1 J_r^T)^-1 r_r,  with  (I - J C J^T)^-1 = I + J (C^-1 - J^T J)^-1 J^T  (Woodbury)
+        """
+        size = np.sqrt(np.einsum("bjj->j", self.information))
+        size = np.where(size > 0, size, 1.0)
+        gradients, information = self.gradients / size, self.information / np.outer(size, size)
+        out = []
+        for square, g, own in zip(self.squares, gradients, information, strict=True):
+            others = np.linalg.pinv(information.sum(axis=0) - own, rcond=RANK_TOLERANCE, hermitian=True)
+            step = others @ g
+            out.append(float(square + 2 * step @ g + step @ own @ step))
+        return np.array(out)
+
+
+def left_out(residual: np.ndarray, jacobian: np.ndarray, sizes: Sequence[int]) -> np.ndarray:
+    """Return the misfit of each run when it is predicted from the others, (R,); sizes: equations of each."""
     ends = np.cumsum(sizes)[:-1]
-    out = []
-    for rows, r in zip(np.split(J, ends), np.split(residual, ends), strict=True):
-        others = np.linalg.pinv(information - rows.T @ rows, rcond=RANK_TOLERANCE, hermitian=True)
-        predicted = r + rows @ (others @ (rows.T @ r))
-        out.append(float(predicted @ predicted))
-    return np.array(out)
+    pairs = [*zip(np.split(residual, ends), np.split(jacobian, ends), strict=True)]
+    m = jacobian.shape[1]
+    return Products(
+        np.array([float(r @ r) for r, _ in pairs]),
+        np.array([J.T @ r for r, J in pairs]).reshape(-1, m),
+        np.array([J.T @ J for _, J in pairs]).reshape(-1, m, m),
+    ).left_out()
 
 
 def surprise(known: np.ndarray, residual: np.ndarray, jacobian: np.ndarray) -> float | None:

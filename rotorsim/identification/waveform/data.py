@@ -26,6 +26,7 @@ RATE_PREFIX = "rate of "
 STABLE_STEP = 2.0  # largest |eigenvalue| times step: the limits of RK4 are 2.79 and 2.83 on the axes
 PIECEWISE_LINEAR = ("hold", "linear")  # of inputs, between samples
 SMOOTH_KIND = "smooth"  # kind of an input that goes between samples on a cubic spline
+BLOCK_ROWS = 1024  # of large arrays, changed at a time
 SENSOR_DISTANCE = 1e-3  # m, between a sensor and the node that stands for it
 
 
@@ -111,13 +112,19 @@ class SampledRun:
         return np.asarray(np.linalg.qr(np.concatenate([np.cos(angle), np.sin(angle)], axis=1))[0])
 
     def beside_lines(self, y: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Return signals (N, c, ...) less their lines, by least squares on the samples that are known (N, c)."""
+        """Return signals (N, c, ...) less their lines, by least squares on the samples that are known (N, c).
+
+        Where all are, the signals themselves may be changed: they are large.
+        """
         if (basis := self.line_basis) is None:
             return y
         flat = y.reshape(self.size, y.shape[1], -1)
         if known.all():
             columns = flat.reshape(self.size, -1)
-            return np.asarray(columns - basis @ (basis.T @ columns)).reshape(y.shape)
+            lines = basis.T @ columns
+            for a in range(0, self.size, BLOCK_ROWS):
+                columns[a : a + BLOCK_ROWS] -= basis[a : a + BLOCK_ROWS] @ lines
+            return columns.reshape(y.shape)
         out = flat.copy()
         for c, there in enumerate(known.T):
             own = np.linalg.lstsq(basis[there], flat[there, c], rcond=None)[0]

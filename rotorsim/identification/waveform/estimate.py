@@ -11,16 +11,9 @@ from scipy.stats import t as student
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Free
-from rotorsim.identification.left_out import left_out
+from rotorsim.identification.left_out import Products
 from rotorsim.identification.waveform.data import SampledRun
-from rotorsim.identification.waveform.noise import (
-    INVERTED,
-    Stretch,
-    block_misfit,
-    goodness_left_out,
-    robust_covariance,
-    stacked,
-)
+from rotorsim.identification.waveform.noise import INVERTED, goodness_left_out, products_of, robust_covariance
 from rotorsim.identification.waveform.noise_model import NoiseModel
 from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch, solved
 
@@ -32,14 +25,14 @@ class TimeEstimate:
     """The end of an output-error search.
 
     unknowns (q,): the m parameters first. robust (q, q): covariance of all unknowns by the scatter of the B stretches;
-    at_bound (m,). misfit: weighted sum of squares; rows: independent samples. goodness: probability of so large misfits
-    of stretches left out if the model is adequate.
+    products: of these. at_bound (m,). misfit: weighted sum of squares; rows: independent samples. goodness: probability
+    of so large misfits of stretches left out if the model is adequate.
     """
 
     search: OutputErrorSearch
     evaluation: Evaluation
     robust: np.ndarray
-    stretches: tuple[Stretch, ...]
+    products: Products
     misfit: float
     rows: int
     goodness: float
@@ -85,7 +78,7 @@ class TimeEstimate:
 
         Source: A. C. Cameron, D. L. Miller, J. Human Resources 50 (2015) 317-372, section VI.
         """
-        return float(student.ppf(0.95, max(len(self.stretches) - 1, 1)))
+        return float(student.ppf(0.95, max(len(self.products.squares) - 1, 1)))
 
     @cached_property
     def information(self) -> np.ndarray:
@@ -134,7 +127,7 @@ class TimeEstimate:
         at_bound = self.search.at_bound(self.evaluation.unknowns)
         searched = ~at_bound
         searched[j] = True
-        covariance = robust_of(self.search, self.evaluation, self.stretches, self.rows, searched)
+        covariance = _robust(self.search, self.evaluation, self.products, self.rows, searched)
         H, g = self.evaluation.information[np.ix_(searched, searched)], self.evaluation.gradient[searched]
         step = solved(H, -g, INVERTED)
         return float(covariance[j, j]), abs(float(step[int(searched[:j].sum())]))
@@ -156,30 +149,29 @@ def without_starts(information: np.ndarray, m: int) -> np.ndarray:
     return np.asarray(information[:m, :m] - cross @ known @ cross.T)
 
 
-def robust_of(
-    search: OutputErrorSearch, evaluation: Evaluation, stretches: tuple[Stretch, ...], rows: int, searched: np.ndarray
+def _robust(
+    search: OutputErrorSearch, evaluation: Evaluation, products: Products, rows: int, searched: np.ndarray
 ) -> np.ndarray:
     """Return the robust covariance of the unknowns (q, q) that are searched; a prior counts as a measured value."""
-    residual, J, sizes = stacked(search, evaluation, stretches)
     prior = np.zeros(len(evaluation.unknowns))
     for j, item in enumerate(search.free):
         prior[j] = 0.0 if item.prior_std is None else 1 / item.prior_std**2
-    return robust_covariance(evaluation.information, residual, J, sizes, searched, rows, prior)
+    return robust_covariance(evaluation.information, products, searched, rows, prior)
 
 
 def time_estimate(search: OutputErrorSearch, evaluation: Evaluation, noise: NoiseModel) -> TimeEstimate:
     """Return the estimate at the end of a search."""
-    residual, J, sizes = stacked(search, evaluation, noise.stretches)
+    products = products_of(search, evaluation, noise.stretches)
     at_bound = search.at_bound(evaluation.unknowns)
-    loo = left_out(residual, J[:, : search.m][:, ~at_bound[: search.m]], sizes)
+    left = products.of(np.flatnonzero(~at_bound[: search.m])).left_out()
     return TimeEstimate(
         search,
         evaluation,
-        robust_of(search, evaluation, noise.stretches, noise.rows, ~at_bound),
-        noise.stretches,
-        float(block_misfit(search, evaluation, noise.stretches).sum()),
+        _robust(search, evaluation, products, noise.rows, ~at_bound),
+        products,
+        float(products.squares.sum()),
         noise.rows,
-        goodness_left_out(loo, noise.allowed),
+        goodness_left_out(left, noise.allowed),
     )
 
 

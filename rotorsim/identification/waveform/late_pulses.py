@@ -42,16 +42,12 @@ class OnTime:
     std: float = 0.0
 
 
-def on_time(
-    diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], late: float, near: NoiseModel | None = None
-) -> OnTime:
+def on_time(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], late: float) -> OnTime:
     """Return runs as their shaft turned; late: standard deviation of the time by which all pulses are late [s].
-
-    near: of the same runs and a diagram that is almost the same, where the fit begins.
 
     Raises RotorsimError where the diagram diverges when it is driven as recorded.
     """
-    noise, shift, std = noise_model(diagram, channels, runs, near), 0.0, 0.0
+    noise, shift, std = noise_model(diagram, channels, runs), 0.0, 0.0
     if {*clock_ports(diagram)} & {*channels.inputs}:
         runs = with_mains_hum(diagram, channels, runs, noise)
         noise = noise_model(diagram, channels, runs, noise) if any(run.lines for run in runs) else noise

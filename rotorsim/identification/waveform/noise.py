@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import pairwise
 from math import comb
 
 import numpy as np
@@ -29,12 +29,12 @@ from scipy.stats import t as student
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.left_out import left_out
+from rotorsim.identification.left_out import Products
 from rotorsim.identification.waveform.data import SampledRun, mean_of
 from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.linearised import places_of, simulated_signals
 from rotorsim.identification.waveform.predictability import Predictability, predictability
-from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch, weighted_blocks
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 from rotorsim.signals.quantisation import step_of
 
@@ -238,57 +238,71 @@ def independent(energies: np.ndarray, stretches: Sequence[Stretch]) -> int:
     return int(np.clip(count, LEAST_ROWS * len(level), min(MOST_ROWS, lengths.sum())))
 
 
+def whitened(search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]) -> list[np.ndarray]:
+    """Return the weighted residual of each stretch, (n,)."""
+    roots = {pair: search.root(*pair) for pair in search.pairs}
+    return [
+        np.concatenate([
+            (roots[k, r][first:last] * np.nan_to_num(residuals[r][first:last])).ravel()
+            for k, residuals in enumerate(evaluation.residuals)
+        ])
+        for r, first, last in stretches
+    ]  # fmt: skip
+
+
 def stacked(
     search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]
 ) -> tuple[np.ndarray, np.ndarray, list[int]]:
     """Return the weighted residual (n,), its Jacobian (n, q) by all unknowns, stretch by stretch, and rows of each."""
 
-    def rows(k: int, r: int, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+    def jacobian(k: int, r: int, first: int, last: int) -> np.ndarray:
         root, J = search.root(k, r)[first:last], evaluation.jacobians[k][r][first:last]
-        jacobian = np.zeros((root.size, len(evaluation.unknowns)))
-        jacobian[:, search.columns(k, r)] = (root[:, :, None] * J).reshape(root.size, -1)
-        return (root * np.nan_to_num(evaluation.residuals[k][r][first:last])).ravel(), jacobian
+        found = np.zeros((root.size, len(evaluation.unknowns)))
+        found[:, search.columns(k, r)] = (root[:, :, None] * J).reshape(root.size, -1)
+        return found
 
-    parts = [[rows(k, *stretch) for k in range(len(search.systems))] for stretch in stretches]
-    residual, jacobian = (np.concatenate(arrays) for arrays in zip(*chain(*parts), strict=True))
-    return residual, jacobian, [sum(len(own) for own, _ in part) for part in parts]
+    residuals = whitened(search, evaluation, stretches)
+    J = [jacobian(k, *stretch) for stretch in stretches for k in range(len(search.systems))]
+    return np.concatenate(residuals), np.concatenate(J), [len(own) for own in residuals]
+
+
+def products_of(search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]) -> Products:
+    """Return what each stretch says of all unknowns."""
+    q, roots = len(evaluation.unknowns), {pair: search.root(*pair) for pair in search.pairs}
+    squares, gradients, information = np.zeros(len(stretches)), np.zeros((len(stretches), q)), []
+    for b, (r, first, last) in enumerate(stretches):
+        H = np.zeros((q, q))
+        for k in range(len(search.systems)):
+            own, here = search.columns(k, r), slice(first, last)
+            parts = roots[k, r][here], evaluation.residuals[k][r][here], evaluation.jacobians[k][r][here]
+            for e, J in weighted_blocks(*parts):
+                squares[b] += float(e @ e)
+                gradients[b, own] += J.T @ e
+                H[np.ix_(own, own)] += J.T @ J
+        information.append(H)
+    return Products(squares, gradients, np.array(information).reshape(-1, q, q))
 
 
 def block_misfit(search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]) -> np.ndarray:
     """Return the weighted sum of squares of each stretch, (B,)."""
-    energies = []
-    for r, first, last in stretches:
-        residuals = [np.nan_to_num(own[r][first:last]) for own in evaluation.residuals]
-        weighted = [search.root(k, r)[first:last] * own for k, own in enumerate(residuals)]
-        energies.append(sum(float(np.vdot(own, own)) for own in weighted))
-    return np.array(energies)
+    return np.array([float(own @ own) for own in whitened(search, evaluation, stretches)])
 
 
 def misfits_left_out(search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]) -> np.ndarray:
     """Return the misfits of stretches left out, (B,)."""
-    residual, jacobian, sizes = stacked(search, evaluation, stretches)
-    return left_out(residual, jacobian[:, : search.m], sizes)
+    return products_of(search, evaluation, stretches).of(np.arange(search.m)).left_out()
 
 
 def robust_covariance(
-    information: np.ndarray,
-    residual: np.ndarray,
-    J: np.ndarray,
-    sizes: Sequence[int],
-    searched: np.ndarray,
-    rows: int,
-    prior: np.ndarray | None = None,
+    information: np.ndarray, products: Products, searched: np.ndarray, rows: int, prior: np.ndarray | None = None
 ) -> np.ndarray:
     """Return H^-1 (sum_b g_b g_b^T) H^-1 B / (B - 1) of all unknowns, g_b = J_b^T r_b; held ones are known.
 
-    residual (n,), J (n, q): as `stacked` returns them, sizes of the B stretches. Where a model leaves less than the
-    resolution, H^-1 of what is missing to ``rows`` is added; and all of H^-1 in directions that the data say nothing
-    about. prior (q,): information of priors within H, each one more measured value in the sum. Source: K.-Y. Liang,
-    S. L. Zeger, Biometrika 73 (1986) 13-22.
+    products: of the B stretches. Where a model leaves less than the resolution, H^-1 of what is missing to ``rows`` is
+    added; and all of H^-1 in directions that the data say nothing about. prior (q,): information of priors within H,
+    each one more measured value in the sum. Source: K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13-22.
     """
-    ends, count = np.cumsum(sizes)[:-1], len(sizes)
-    parts = zip(np.split(J, ends), np.split(residual, ends), strict=True)
-    g = np.stack([(own.T @ r)[searched] for own, r in parts])
+    g, count = products.gradients[:, searched], len(products.squares)
     scores = g.T @ g * (count / max(count - 1, 1))
     scores += np.diag(np.zeros(len(scores)) if prior is None else prior[searched])
     H = information[np.ix_(searched, searched)]
@@ -299,7 +313,7 @@ def robust_covariance(
     vectors = vectors / scale[:, None]
     inverse = vectors / np.maximum(values, least) @ vectors.T
     robust = inverse @ scores @ inverse
-    below = max(1 - float(residual @ residual) / rows, 0.0)
+    below = max(1 - float(products.squares.sum()) / rows, 0.0)
     weak = vectors[:, values <= least]
     covariance = np.zeros_like(information)
     covariance[np.ix_(searched, searched)] = robust + below * inverse + weak / least @ weak.T

@@ -246,10 +246,10 @@ def _flexible(
     diagram: Diagram, channels: Channels, given: OutputErrorSearch, evaluation: Evaluation, sizes: Mapping[str, float]
 ) -> tuple[OutputErrorSearch, Evaluation]:
     """Return the fit of the flexible model that leaves least; the diagram as it is where none does better."""
-    m = given.m
-    best = reweighted(given, evaluation.unknowns)
+    m, forces = given.m, _force_maps(diagram, channels, sizes)
+    best = reweighted(given, evaluation.unknowns) if forces else (given, evaluation)
     base = best[0]
-    for force in _force_maps(diagram, channels, sizes):
+    for force in forces:
         search = replace(base, systems=subsystems_of(diagram, channels, force=force))
         for start in (evaluation.unknowns, base.first()):  # where the fit went, and where the diagram stood
             after = reweighted(search, np.concatenate([start[:m], np.zeros(force.count), start[m:]]))

@@ -62,7 +62,8 @@ def predictability(residuals: Sequence[np.ndarray], signals: Sequence[np.ndarray
     stretch = np.concatenate([np.searchsorted(end, np.arange(end[-1]), "right") + 10 * r for r, end in enumerate(ends)])
     fold = stretch // 10 if len(residuals) > 1 else stretch
     predicted, there = np.full(Y.shape, np.nan), np.isfinite(Y)
-    for known in np.unique(there, axis=1).T:  # outputs that were measured at the same instants, as a rule all
+    whole = there.all()
+    for known in [there.all(axis=1)] if whole else np.unique(there, axis=1).T:
         alike = (there == known[:, None]).all(axis=0)
         predicted[np.ix_(known, alike)] = _left_out(features[known], Y[np.ix_(known, alike)], fold[known])
     squares = np.array(

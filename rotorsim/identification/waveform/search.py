@@ -7,7 +7,7 @@ carriage of EMPS, with parameters beyond all sizes. Here a positive parameter ch
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -27,6 +27,7 @@ SEARCH_COST_TOLERANCE = (
     1e-8  # relative fall of the cost below which a step was the last, twice: far below one unit of a misfit
 )
 SIMULATION_SUBSTEPS = 64  # between samples: a matter of time
+BLOCK_NUMBERS = 1 << 17  # of a Jacobian, weighted at a time: 1 MB, which stays in the cache
 LEAP = 4.0  # factor by which a positive parameter may change in a step
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e8  # of the scaled information: nearly none, none, no step
 WEAK = (
@@ -68,6 +69,20 @@ def solved(H: np.ndarray, b: np.ndarray, rcond: float = 1e-12) -> np.ndarray:
     scale = np.sqrt(np.where(np.diag(H) > 0, np.diag(H), 1.0))
     scaled = np.linalg.lstsq(H / np.outer(scale, scale), (b.T / scale).T, rcond=rcond)[0]
     return np.asarray((scaled.T / scale).T)
+
+
+def weighted_blocks(
+    root: np.ndarray, residual: np.ndarray, jacobian: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield weighted residuals (n,) and their Jacobians (n, q) of samples, some at a time: all together may be large.
+
+    root, residual (N, c), jacobian (N, c, q).
+    """
+    each = max(BLOCK_NUMBERS // max(root.shape[1] * jacobian.shape[2], 1), 1)
+    for a in range(0, len(root), each):
+        weight = root[a : a + each]
+        e = (weight * np.nan_to_num(residual[a : a + each])).ravel()
+        yield e, (weight[:, :, None] * jacobian[a : a + each]).reshape(weight.size, -1)
 
 
 def _promised(here: Evaluation, step: np.ndarray) -> float:
@@ -252,7 +267,7 @@ class OutputErrorSearch:
             y, dy = self.simulated(unknowns, k, r, sub, sensitivities)
             known = np.isfinite(self.measured[k][r])
             residuals[k].append(self.runs[r].beside_lines(self.measured[k][r] - y, known))
-            jacobians[k].append(self.runs[r].beside_lines(-dy, known))
+            jacobians[k].append(self.runs[r].beside_lines(np.negative(dy, out=dy), known))
             if not (np.isfinite(y).all() and np.isfinite(dy).all()):
                 return Evaluation(unknowns, sub)
         return self.summed(unknowns, sub, residuals, jacobians)
@@ -268,13 +283,12 @@ class OutputErrorSearch:
         cost = 0.0
         gradient, information = np.zeros(len(unknowns)), np.zeros((len(unknowns), len(unknowns)))
         for k, r in self.pairs:
-            root = self.root(k, r)
-            e = (root * np.nan_to_num(residuals[k][r])).ravel()
-            J = (root[:, :, None] * jacobians[k][r]).reshape(root.size, -1)
-            own = self.columns(k, r)[: J.shape[1]]
-            cost += float(e @ e)
-            gradient[own] += J.T @ e
-            information[np.ix_(own, own)] += J.T @ J
+            own = self.columns(k, r)[: jacobians[k][r].shape[2]]
+            square = np.ix_(own, own)
+            for e, J in weighted_blocks(self.root(k, r), residuals[k][r], jacobians[k][r]):
+                cost += float(e @ e)
+                gradient[own] += J.T @ e
+                information[square] += J.T @ J
         if not np.isfinite(information).all():
             return Evaluation(unknowns, sub)
         for j, item in enumerate(self.free):

@@ -25,7 +25,7 @@ from rotorsim.diagnosis.evidence.orders.whiteness import whiteness_of
 from rotorsim.diagnosis.evidence.validated import Validated
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
-from rotorsim.identification.waveform.noise import stacked
+from rotorsim.identification.waveform.noise import whitened
 from rotorsim.identification.waveform.order_tracking import TrackedOrders, tracked_orders, vectors_of
 from rotorsim.identification.waveform.search import Evaluation
 from rotorsim.model.load import load
@@ -130,7 +130,8 @@ class OrderEvidence(Validated):
             return None
         if not np.isfinite(evaluation.cost):
             return None
-        return stacked(search, evaluation, [(r, 0, len(y)) for r, y in enumerate(search.measured[0])])[0]
+        runs = [(r, 0, len(y)) for r, y in enumerate(search.measured[0])]
+        return np.concatenate(whitened(search, evaluation, runs))
 
     # -- noise ---------------------------------------------------------------------------------------------------------
 

@@ -13,9 +13,8 @@ from rotorsim.diagnosis.evidence.fit import Effort, Fit, Starts
 from rotorsim.diagnosis.evidence.orders.noise import DETERMINED_BY_ROWS, RowNoise
 from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder
 from rotorsim.identification.in_orders import refuse_fast
-from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.estimate import PART
-from rotorsim.identification.waveform.noise import Stretch, independent_stretches, stacked
+from rotorsim.identification.waveform.noise import Stretch, independent_stretches, products_of
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES
 from rotorsim.identification.waveform.order_tracking import OrderSearch
 from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation
@@ -69,11 +68,10 @@ def summary(document: Mapping[str, Any], search: OrderSearch, end: Evaluation, n
     if not np.isfinite(end.reached().cost):
         return Fit(document, failure=SIMULATION_DIVERGES)
     count, stretches = len(search.free), stretches_of(search)
-    residual, J, sizes = stacked(search, end, stretches)
+    products = products_of(search, end, stretches)
     at_bound = search.at_bound(end.unknowns)
     covariance = covariance_of(search, end)
-    energies = np.array([float(part @ part) for part in np.split(residual, np.cumsum(sizes)[:-1])])
-    misfit, equations = float(energies.sum()), equations_of(search)
+    misfit, equations = float(products.squares.sum()), equations_of(search)
     freedom = max(equations - int((~at_bound).sum()), 1)
     return Fit(
         document=document,
@@ -84,8 +82,8 @@ def summary(document: Mapping[str, Any], search: OrderSearch, end: Evaluation, n
         misfit=misfit,
         rows=max(equations - search.constants, 1),
         equations=equations,
-        run_misfit=energies,
-        left_out=left_out(residual, J[:, ~at_bound], sizes),
+        run_misfit=products.squares,
+        left_out=products.of(np.flatnonzero(~at_bound)).left_out(),
         goodness=float(fisher.sf(misfit / freedom, freedom, known_rows(noise))),
     )
 

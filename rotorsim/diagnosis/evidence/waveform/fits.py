@@ -16,16 +16,16 @@ from rotorsim.diagnosis.evidence.fit import FAILURES, Effort, Fit, Starts, faile
 from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.left_out import left_out
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.differences import by_differences
 from rotorsim.identification.waveform.noise import (
     Stretch,
     Variance,
     goodness_left_out,
+    products_of,
     robust_covariance,
-    stacked,
     weights_of,
+    whitened,
 )
 from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
 from rotorsim.identification.waveform.shooting import is_lost, shot
@@ -250,7 +250,8 @@ class WaveformFits(SampledRuns):
         except FAILURES:
             return None
         evaluation = search.minimise(self.first_point(search))
-        return stacked(search, evaluation, self.stretches)[0] if np.isfinite(evaluation.cost) else None
+        found = np.isfinite(evaluation.cost)
+        return np.concatenate(whitened(search, evaluation, self.stretches)) if found else None
 
     def _followed(
         self, short: OutputErrorSearch, first: np.ndarray, group: Sequence[Mapping[str, float]]
@@ -289,23 +290,22 @@ class WaveformFits(SampledRuns):
         if search.limited and not self.parts:
             evaluation = by_differences(search, evaluation)
         m, count = search.m, len(search.free)
-        residual, J, sizes = stacked(search, evaluation, self.stretches)
         at_bound = search.at_bound(evaluation.unknowns)
         with np.errstate(over="ignore", invalid="ignore"):
-            covariance = robust_covariance(evaluation.information, residual, J, sizes, ~at_bound, self.rows)
+            products = products_of(search, evaluation, self.stretches)
+            covariance = robust_covariance(evaluation.information, products, ~at_bound, self.rows)
         if not np.isfinite(covariance).all():
             return Fit(document, failure=SENSITIVITIES_DIVERGE)
-        loo = left_out(residual, J[:, :m][:, ~at_bound[:m]], sizes)
-        energies = np.array([part @ part for part in np.split(residual, np.cumsum(sizes)[:-1])])
+        loo = products.of(np.flatnonzero(~at_bound[:m])).left_out()
         return Fit(
             document=document,
             free=search.free,
             theta=evaluation.unknowns[:count],
             covariance=covariance[:count, :count],
             at_bound=at_bound[:count],
-            misfit=float(energies.sum()),
+            misfit=float(products.squares.sum()),
             rows=self.rows,
-            run_misfit=energies,
+            run_misfit=products.squares,
             left_out=loo,
             goodness=goodness_left_out(loo, self.allowed),
             starts=evaluation.unknowns[m:],
