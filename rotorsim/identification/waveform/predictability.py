@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.signal import lfilter
@@ -62,10 +63,11 @@ def predictability(residuals: Sequence[np.ndarray], signals: Sequence[np.ndarray
     stretch = np.concatenate([np.searchsorted(end, np.arange(end[-1]), "right") + 10 * r for r, end in enumerate(ends)])
     fold = stretch // 10 if len(residuals) > 1 else stretch
     predicted, there = np.full(Y.shape, np.nan), np.isfinite(Y)
-    whole = there.all()
-    for known in [there.all(axis=1)] if whole else np.unique(there, axis=1).T:
+    patterns = [there.all(axis=1)] if there.all() else [*np.unique(there, axis=1).T]
+    for known in patterns:  # outputs that were measured at the same instants, as a rule all
         alike = (there == known[:, None]).all(axis=0)
-        predicted[np.ix_(known, alike)] = _left_out(features[known], Y[np.ix_(known, alike)], fold[known])
+        X = features if known.all() else features[known]
+        predicted[np.ix_(known, alike)] = _left_out(X, Y[np.ix_(known, alike)], fold[known])
     squares = np.array(
         [[np.nansum(Y[here] ** 2, axis=0), np.nansum((Y - predicted)[here] ** 2, axis=0)] for here in _each(stretch)]
     )
@@ -78,8 +80,10 @@ def predictability(residuals: Sequence[np.ndarray], signals: Sequence[np.ndarray
     return Predictability(np.maximum(share, 0.0), level, rest)
 
 
-def _each(stretch: np.ndarray) -> list[np.ndarray]:
-    return [stretch == name for name in np.unique(stretch)]
+def _each(stretch: np.ndarray) -> list[slice]:
+    """Return the places of every stretch; they follow one another."""
+    ends = [*np.flatnonzero(np.diff(stretch)) + 1, len(stretch)]
+    return [slice(first, last) for first, last in pairwise([0, *ends])]
 
 
 def _left_out(X: np.ndarray, Y: np.ndarray, fold: np.ndarray) -> np.ndarray:
