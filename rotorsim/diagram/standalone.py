@@ -15,7 +15,7 @@ from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.settings import SET
 from rotorsim.errors import Problem, RotorsimError
 
-SHOWN = 8  # names in a message
+NAMES_TOLD = 8  # names in a message
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Standalone:
     def notes(self) -> list[Problem]:
         """Warnings of blocks and parameters that have another name here."""
         new = [f"{a} is {b}" for own in (self.blocks, self.parameters) for a, b in own.items() if a != b]
-        what = f"its sub-diagrams are dissolved: {', '.join(new[:SHOWN])}"
-        more = f", and {len(new) - SHOWN} more" if len(new) > SHOWN else ""
+        what = f"its sub-diagrams are dissolved: {', '.join(new[:NAMES_TOLD])}"
+        more = f", and {len(new) - NAMES_TOLD} more" if len(new) > NAMES_TOLD else ""
         return [Problem(what + more, self.document.get("name", "diagram"), severity="warning")] if new else []
 
 

@@ -16,7 +16,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.model.heard import gives_up
 from rotorsim.units import format_quantity
 
-MOVED = 1.0  # standard deviations by which a parameter moves, to be named: beyond, most of its 90 % interval is left
+MOVED_BY = 1.0  # standard deviations by which a parameter moves, to be named: beyond, most of its 90 % interval is left
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +84,6 @@ def _moves(before: Estimated, after: Estimated) -> str:
     estimates = {item.name: value for item, value in zip(after.free, after.theta, strict=True)}
     pairs = zip(before.free, before.theta, before.std, strict=True)
     moved = {item.name: abs(estimates[item.name] - value) / std for item, value, std in pairs if item.name in estimates}
-    far = sorted((name for name, by in moved.items() if by > MOVED), key=lambda name: -moved[name])
+    far = sorted((name for name, by in moved.items() if by > MOVED_BY), key=lambda name: -moved[name])
     told = ", ".join(f"{name} by {moved[name]:.2g}" for name in far)
     return f"; that moves {told} standard deviations" if told else ""
