@@ -187,7 +187,9 @@ def laws(recording: OrderRecording) -> list[str]:
     """Return what every law of the catalogue that fits into the diagram leaves, put in beside hypothesis (d)."""
     diagram = load("rk4_first_mode")
     before = fitted("", diagram, recording, TWO_PLANES, OrderSearch, PAIRS[2:4])
-    document = with_values(diagram, list(zip(before.estimate.free, before.estimate.theta.tolist(), strict=True)))
+    document = with_values(
+        diagram, list(zip(before.estimate.free, before.estimate.theta.tolist(), strict=True))
+    ).document
     amplitude = float(np.abs(next(iter(recording.runs[0].vectors.values()))).max()) / LEVER
     largest = {"displacement": amplitude, "velocity": amplitude * float(recording.runs[0].speed.mean())}
     found: list[tuple[float, float, str]] = []

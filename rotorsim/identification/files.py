@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.parse.fmt import format_document
-from rotorsim.diagram.standalone import standalone
+from rotorsim.diagram.standalone import Standalone, standalone
 from rotorsim.files import write_atomically
 from rotorsim.identification.result import Identification
 from rotorsim.identification.verdict import Verdict
@@ -59,7 +59,7 @@ def identification_data(identification: Identification, *, diagram_file: str = D
         "warnings": [f"{problem.subject}: {problem.what}" for problem in identification.warnings],
         "runs": identification.run_ids,
         "settings": dict(identification.settings),
-        "provenance": {"diagram": identification.diagram.name, "diagram_sha256": identification.diagram.sha256},
+        "provenance": {"diagram": identification.diagram.name, "diagram_sha256": identification.sha256},
     }
 
 
@@ -74,7 +74,7 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def with_values(diagram: Diagram, free: list[tuple[Free, float]]) -> dict[str, Any]:
+def with_values(diagram: Diagram, free: list[tuple[Free, float]]) -> Standalone:
     """Return the document of a diagram with values put in place of free parameters (SI, with their unit).
 
     It loads as it is: blocks that were removed (``--without``) are left out, with their wires and what was free in
@@ -96,7 +96,7 @@ def with_values(diagram: Diagram, free: list[tuple[Free, float]]) -> dict[str, A
         owner, _, own = item.base.rpartition(".")
         values = diagram.nodes[owner].values[own] if dot else diagram.parameters[item.base]
         parameters[key] = _replaced(values, item, _text(item, value), parameters.get(key))
-    return document
+    return alone
 
 
 def _text(item: Free, value: float) -> Any:
@@ -122,17 +122,22 @@ def _replaced(values: np.ndarray, free: Free, text: Any, before: Any) -> Any:
     return before
 
 
-def save_identification(identification: Identification, folder: str | Path) -> list[Path]:
-    """Write identification.json and diagram.json into a folder (made if need be); return the files."""
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+def identified_diagram(identification: Identification) -> Standalone:
+    """Return the document of the diagram with the identified values in it."""
     known = {item.name: item for item in identification.diagram.free}
     values = [
         (known[name], item.value)
         for name, item in identification.parameters.items()
         if name in known and known[name].low <= item.value <= known[name].high  # else the diagram would be refused
     ]
-    document = with_values(identification.diagram, values)
+    return with_values(identification.diagram, values)
+
+
+def save_identification(identification: Identification, folder: str | Path) -> list[Path]:
+    """Write identification.json and diagram.json into a folder (made if need be); return the files."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    document = identified_diagram(identification).document
     files = [folder / IDENTIFICATION_FILE, folder / DIAGRAM]
     write_atomically(files[0], json.dumps(identification_data(identification), indent=2, allow_nan=False) + "\n")
     write_atomically(files[1], format_document(document))

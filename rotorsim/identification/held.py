@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,9 +13,13 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.resolve.free import uncertain_parameters
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
 from rotorsim.model.heard import gives_up
+from rotorsim.recordings.orders import OrderRun
+from rotorsim.recordings.recording import Run
 from rotorsim.units import format_quantity
 
+CONTRADICTED = "held_value"  # code of what the recording contradicts
 MOVED_BY = 1.0  # standard deviations by which a parameter moves, to be named: beyond, most of its 90 % interval is left
 
 
@@ -38,12 +42,13 @@ class FreeingFit(Protocol):
         """Return what is estimated with more parameters free, from where this fit ended. Raises RotorsimError."""
 
 
-def contradictions_of(diagram: Diagram, fit: FreeingFit) -> list[Problem]:
+def contradictions_of(diagram: Diagram, fit: FreeingFit, known: Collection[str] = ()) -> list[Problem]:
     """Return warnings of parameters that are held and, if they were free, would be others.
 
-    Those that blocks declare with a tolerance, the prior of a Wald test at `Criteria.not_explained`.
+    Those that blocks declare with a tolerance, the prior of a Wald test at `Criteria.not_explained`. known: what the
+    runs set.
     """
-    held = uncertain_parameters(diagram)
+    held = [item for item in uncertain_parameters(diagram) if not {item.name, item.base} & {*known}]
     if not held:
         return []
     try:
@@ -51,7 +56,9 @@ def contradictions_of(diagram: Diagram, fit: FreeingFit) -> list[Problem]:
     except RotorsimError as error:
         if gives_up(error):
             raise
-        return []
+        names = " and ".join(item.name for item in held)
+        what = f"whether the recording contradicts what is held was not judged ({error.problems[0].what})"
+        return [Problem(what, names, severity="warning")]
     estimates = {item.name: k for k, item in enumerate(after.free)}
     limit = float(norm.isf(CRITERIA.not_explained / 2))
     problems = []
@@ -63,27 +70,43 @@ def contradictions_of(diagram: Diagram, fit: FreeingFit) -> list[Problem]:
         says += format_quantity(after.std[k], item.unit)
         what = f"is held at {format_quantity(item.value, item.unit)}, but the recording says {says}"
         hint = f'free it: "identify": {{"{item.name}": {{}}, ...}}{_moves(before, after)}'
-        problems.append(Problem(what, item.name, hint=hint, severity="warning"))
+        problems.append(Problem(what, item.name, hint=hint, severity="warning", code=CONTRADICTED))
     return problems
 
 
-def with_contradictions(statement: str, problems: Sequence[Problem]) -> str:
-    """Return what was found in plain words, with what is held at values that the recording contradicts."""
-    if not problems:
+def settings_of(runs: Iterable[Run | OrderRun]) -> set[str]:
+    """Return the parameters that runs set."""
+    return {name for run in runs for name in run.settings}
+
+
+def is_contradicted(problems: Iterable[Problem]) -> bool:
+    """Return whether the recording contradicts a value that is held."""
+    return any(problem.code == CONTRADICTED for problem in problems)
+
+
+def with_contradictions(statement: str, problems: Sequence[Problem], adequate: bool) -> str:
+    """Return what was found in plain words, with what is held at values that the recording contradicts.
+
+    It is said first where it is all that is wrong.
+    """
+    names = [problem.subject for problem in problems if problem.code == CONTRADICTED]
+    if not names:
         return statement
-    names = [problem.subject for problem in problems]
     held = f"value at which {names[0]} is" if len(names) == 1 else f"values at which {' and '.join(names)} are"
-    wrong = (
-        f"The recording contradicts the {held} held: the intervals hold only if that does not matter to a parameter."
-    )
-    return f"{wrong} {statement}"
+    matters = "the intervals hold only if that does not matter to a parameter."
+    wrong = f"The recording contradicts the {held} held: {matters}"
+    return f"{wrong} {statement}" if adequate else f"{statement} {wrong}"
 
 
 def _moves(before: Estimated, after: Estimated) -> str:
     """Return which parameters move with what is free, and how far."""
     estimates = {item.name: value for item, value in zip(after.free, after.theta, strict=True)}
-    pairs = zip(before.free, before.theta, before.std, strict=True)
-    moved = {item.name: abs(estimates[item.name] - value) / std for item, value, std in pairs if item.name in estimates}
+    moved = {}
+    for item, value, std in zip(before.free, before.theta, before.std, strict=True):
+        if item.name not in estimates or not std > 0:
+            continue
+        by = estimates[item.name] - value
+        moved[item.name] = abs(np.angle(np.exp(1j * by)) if item.unit == ANGLE_UNIT else by) / std
     far = sorted((name for name, by in moved.items() if by > MOVED_BY), key=lambda name: -moved[name])
     told = ", ".join(f"{name} by {moved[name]:.2g}" for name in far)
     return f"; that moves {told} standard deviations" if told else ""

@@ -20,7 +20,7 @@ from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.identification.harmonic.profile import joint_factor, linear_intervals, profile_intervals
 from rotorsim.identification.harmonic.regression import THESIS_ORDERS, open_regression
 from rotorsim.identification.harmonic.scatter import scatter_of, with_covariance
-from rotorsim.identification.held import Estimated, contradictions_of, with_contradictions
+from rotorsim.identification.held import Estimated, contradictions_of, is_contradicted, settings_of, with_contradictions
 from rotorsim.identification.in_orders import identify_orders
 from rotorsim.identification.in_time import identify_in_time
 from rotorsim.identification.meshes import on_fine_meshes
@@ -152,7 +152,7 @@ def identify(
             hold_out=hold_out,
             warnings=warnings,
         )
-    steps, unseen = stated_steps(diagram, recording)
+    sha256, (steps, unseen) = diagram.sha256, stated_steps(diagram, recording)
     diagram, warnings = before_converters(diagram), [*warnings, *unseen]
     if steps and harmonics is None:
         recording = through_converters(recording, steps)
@@ -172,7 +172,7 @@ def identify(
                 refuse_sampled(experiment.model, "identification with the loop closed")
             return Likelihood(experiment)
 
-        regression = None
+        regression, refined = None, list[str]()
         if method == "regression":
             regression = open_regression(
                 diagram, recording, runs=chosen, free=free, orders=orders, reduction=reduction, harmonics=found
@@ -182,16 +182,17 @@ def identify(
         else:
             fitted, refined = on_fine_meshes(diagram, _fitted(diagram, opened_with))
             diagram, search, result = fitted.diagram, fitted.search, fitted.estimate
-            warnings += [Problem(note, severity="warning") for note in refined]
         if method == "likelihood" and harmonics is None and not result.adequate:
             without, picked = with_pickups(recording, found, find_mains(recording, found))
             if picked:
                 found = without
-                fitted = _fitted(diagram, opened_with)
-                search, result = fitted.search, fitted.estimate
+                fitted, further = on_fine_meshes(diagram, _fitted(diagram, opened_with))
+                diagram, search, result = fitted.diagram, fitted.search, fitted.estimate
+                refined = further or refined
                 treated = "it is fitted beside the harmonics"
                 warnings += pickup_warnings(picked, recording, "is asynchronous", treated)
-        contradicted = [] if method == "regression" else contradictions_of(diagram, fitted)
+        warnings += [Problem(note, severity="warning") for note in refined]
+        contradicted = [] if regression is not None else contradictions_of(diagram, fitted, settings_of(chosen))
         adequate = method == "regression" or result.adequate
         widen = 1.0 if adequate else result.widening
         covariance = result.covariance * widen**2
@@ -248,11 +249,12 @@ def identify(
         noise_floor=floor,
         goodness=goodness,
         excess=excess,
-        adequate=adequate and not contradicted,
-        statement=with_contradictions(_statement(method, parameters, adequate, result, advice), contradicted),
+        adequate=adequate and not is_contradicted(contradicted),
+        statement=with_contradictions(_statement(method, parameters, adequate, result, advice), contradicted, adequate),
         advice=tuple(advice),
         warnings=(*warnings, *contradicted),
         diagram=diagram,
+        sha256=sha256,
         runs=found,
         settings={"given": list(used), "orders": list(orders), "reduction": reduction, "precision": precision},
         free=result.free,

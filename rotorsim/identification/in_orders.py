@@ -12,7 +12,7 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.resolve.settings import with_finer_mesh
 from rotorsim.errors import Place, Problem, RotorsimError, near_miss
-from rotorsim.identification.held import Estimated, contradictions_of, with_contradictions
+from rotorsim.identification.held import Estimated, contradictions_of, is_contradicted, settings_of, with_contradictions
 from rotorsim.identification.meshes import on_fine_meshes
 from rotorsim.identification.result import Identification, identified, sentences
 from rotorsim.identification.verdict import judge
@@ -99,12 +99,12 @@ def identify_orders(
     Raises RotorsimError for channels that the diagram does not have, no run to identify from, nothing free, and where
     the diagram diverges.
     """
-    wanted = diagram.free if free is None else tuple(free)
+    wanted, sha256 = diagram.free if free is None else tuple(free), diagram.sha256
     _refuse(diagram, recording, method, given, wanted)
     diagram = replace(diagram, free=wanted)
     with one_thread():
         fitted, refined = on_fine_meshes(diagram, _fitted(diagram, recording, wanted))
-        contradicted = contradictions_of(fitted.diagram, fitted)
+        contradicted = contradictions_of(fitted.diagram, fitted, settings_of(recording.select("identify")))
         diagram, search, estimate, variance = fitted.diagram, fitted.search, fitted.estimate, fitted.variance
         evaluation, labels = estimate.evaluation, fitted.labels
         held = [(recording, recording.select("hold_out"))]
@@ -138,11 +138,12 @@ def identify_orders(
         fit=fit,
         noise_floor=_floor(compared[0], variance),
         excess=estimate.excess,
-        adequate=estimate.adequate and not contradicted,
-        statement=with_contradictions(_statement(parameters, estimate), contradicted),
+        adequate=estimate.adequate and not is_contradicted(contradicted),
+        statement=with_contradictions(_statement(parameters, estimate), contradicted, estimate.adequate),
         advice=(),
         warnings=tuple(notes),
         diagram=diagram,
+        sha256=sha256,
         settings={"precision": precision, "steps_between_samples": evaluation.sub},
         free=estimate.free,
         runs=tuple(item for group in compared for item in group),
@@ -193,7 +194,7 @@ class _Fitted:
             parts = found.evaluation.unknowns
             start = np.concatenate([parts[: found.m], [item.value for item in more], parts[found.m :]])
             found = _fitted(self.diagram, self.recording, (*self.wanted, *more), start).estimate
-        return Estimated(found.free, found.theta, found.std)
+        return Estimated(found.free, found.theta, np.where(found.at_bound, np.inf, found.std))
 
 
 def _fitted(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from rotorsim.diagram.resolve.settings import with_finer_mesh
 from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.identification.advice import Advice
 from rotorsim.identification.advice_in_time import TRIED, advise_in_time
-from rotorsim.identification.held import Estimated, contradictions_of, with_contradictions
+from rotorsim.identification.held import Estimated, contradictions_of, is_contradicted, settings_of, with_contradictions
 from rotorsim.identification.meshes import on_fine_meshes
 from rotorsim.identification.result import Identification, Identified, identified, sentences
 from rotorsim.identification.verdict import judge
@@ -113,8 +114,8 @@ def identify_in_time(
         estimate = _estimated(diagram, channels, timed, timed.noise.near)
         fitted = _Fitted(diagram, channels, as_turned if turns else None, timed, estimate)
         fitted, refined = on_fine_meshes(diagram, fitted)
-        diagram, timed, estimate = fitted.diagram, fitted.timed, fitted.widened(fitted.estimate)
-        contradicted = contradictions_of(diagram, fitted)
+        diagram, timed, estimate = fitted.diagram, fitted.timed, fitted.widened
+        contradicted = contradictions_of(diagram, fitted, settings_of(chosen))
         sampled, noise = timed.runs, timed.noise
         held_out = tuple(turned_later(run, diagram, timed.shift) for run in held_out)
         held_out = with_mains_hum(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
@@ -148,11 +149,12 @@ def identify_in_time(
         fit=fit,
         noise_floor=errors.floor(variance) if errors else {},
         excess=estimate.excess,
-        adequate=estimate.adequate and not contradicted,
-        statement=with_contradictions(_statement(parameters, estimate, advice), contradicted),
+        adequate=estimate.adequate and not is_contradicted(contradicted),
+        statement=with_contradictions(_statement(parameters, estimate, advice), contradicted, estimate.adequate),
         advice=tuple(advice),
         warnings=tuple(notes),
         diagram=diagram,
+        sha256=as_given.sha256,
         settings={"precision": precision, "steps_between_samples": estimate.evaluation.sub},
         free=estimate.free,
         runs=(
@@ -197,7 +199,10 @@ class _Fitted:
         return search.change(self.estimate.evaluation, finer)
 
     def finer(self, block: str, parts: int) -> _Fitted:
-        """Return the fit with a finer mesh, from where this one ended. Raises RotorsimError."""
+        """Return the fit with a finer mesh, from where this one ended. Raises RotorsimError.
+
+        Hum and the time by which pulses are late, found beside the coarser mesh, stay.
+        """
         diagram, near = with_finer_mesh(self.diagram, block, parts), replace(self.timed.noise, starts={})
         noise = noise_model(diagram, self.channels, self.timed.runs, near)
         timed = replace(self.timed, noise=noise)
@@ -211,16 +216,19 @@ class _Fitted:
 
     def freed(self, more: Sequence[Free] = ()) -> Estimated:
         """Return what is estimated with more parameters free, from where this fit ended. Raises RotorsimError."""
-        found = self.estimate
+        found = self.widened
         if more:
             near = dict(zip((item.name for item in found.free), found.theta.tolist(), strict=True))
             diagram = replace(self.diagram, free=(*self.diagram.free, *more))
-            found = _estimated(diagram, self.channels, self.timed, near)
-        found = self.widened(found)
-        return Estimated(found.free, found.theta, found.std)
+            found = self._wider(_estimated(diagram, self.channels, self.timed, near))
+        return Estimated(found.free, found.theta, np.where(found.at_bound, np.inf, found.std))
 
-    def widened(self, found: TimeEstimate) -> TimeEstimate:
-        """Return an estimate that allows for what is not known of pulses and of the angle."""
+    @cached_property
+    def widened(self) -> TimeEstimate:
+        """The estimate with what is not known of pulses and of the angle."""
+        return self._wider(self.estimate)
+
+    def _wider(self, found: TimeEstimate) -> TimeEstimate:
         runs, turned = self.timed.runs, self.turned
         if self.timed.std:
             found = with_late_pulses(found, [turned_later(run, self.diagram, self.timed.std) for run in runs])

@@ -50,8 +50,8 @@ def left_out(residual: np.ndarray, jacobian: np.ndarray, sizes: Sequence[int]) -
     m = jacobian.shape[1]
     return Products(
         np.array([float(r @ r) for r, _ in pairs]),
-        np.array([J.T @ r for r, J in pairs]).reshape(-1, m),
-        np.array([J.T @ J for _, J in pairs]).reshape(-1, m, m),
+        np.array([J.T @ r for r, J in pairs]).reshape(len(pairs), m),
+        np.array([J.T @ J for _, J in pairs]).reshape(len(pairs), m, m),
     ).left_out()
 
 

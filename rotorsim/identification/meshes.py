@@ -67,7 +67,7 @@ def on_fine_meshes(diagram: Diagram, fit: Meshed) -> tuple[Meshed, list[str]]:
                 if gives_up(error):
                     raise
                 told += "; " if told else ""
-                told += f"{option} {2 * level} cannot be compared: it {error.problems[0].what}"
+                told += f"{option} {2 * level} cannot be compared ({error.problems[0].what})"
                 break
             if fit.estimate.adequate and fit.worse_by(finer) > CRITERIA.mesh_visible:
                 break

@@ -43,8 +43,9 @@ class Identification(Shown, ABC):
 
     correlation: (m, m). fit: "identify" and "hold_out" -> signal -> NRMSE; noise_floor: signal -> what no model can
     undercut. excess: variance of the residual over that of the noise (1 for a right model); None for the regression,
-    which does not weigh. adequate: the model explains the data within noise. free: the parameters as they were before,
-    with start values and bounds. `HarmonicIdentification` of a turning shaft, `TimeIdentification` of samples in time.
+    which does not weigh. adequate: the model explains the data within noise. diagram: with meshes as the data want;
+    sha256: of the document as given. free: the parameters as they were before, with start values and bounds.
+    `HarmonicIdentification` of a turning shaft, `TimeIdentification` of samples in time.
     """
 
     method: str
@@ -58,6 +59,7 @@ class Identification(Shown, ABC):
     advice: tuple[Advice, ...]
     warnings: tuple[Problem, ...]
     diagram: Diagram
+    sha256: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     free: tuple[Free, ...] = ()
 

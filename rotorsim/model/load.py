@@ -46,7 +46,7 @@ def load_standalone(diagram: Diagram) -> tuple[Diagram, Standalone]:
     Itself where there are none. Raises RotorsimError where what is left does not load, as a wire is missing.
     """
     alone = standalone(diagram)
-    if alone.document == diagram.document:
+    if not alone.changed:
         return diagram, alone
     found = load(alone.document, folder=diagram.folder, trust_blocks=diagram.trusted)
     return replace(found, name=diagram.name, file=diagram.file, warnings=diagram.warnings), alone

@@ -151,7 +151,7 @@ def test_free_parameters_inside_of_a_group_are_written_where_they_are(tmp_path: 
         "crack_stiffness",
         "deep/force_displacement_factor",
     ]
-    written = with_values(diagram, list(zip(diagram.free, (2.5, 12000.0, 2e5, 9e4), strict=True)))
+    written = with_values(diagram, list(zip(diagram.free, (2.5, 12000.0, 2e5, 9e4), strict=True))).document
     assert written["blocks"]["rotor"]["parameters"]["mass"] == "2.5 kg"
     assert written["blocks"]["controller"]["parameters"]["KP"] == "12000.0 A/m"
     assert written["parameters"]["crack_stiffness"] == "200000.0 N/m"

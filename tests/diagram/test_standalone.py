@@ -22,10 +22,13 @@ from rotorsim.simulation.run import simulate
 SIGNALS = ("rotor.displacement", "controller.current")
 
 
-def grouped(folder: Path, **changes: Any) -> Path:
-    """Return the file of jeffcott with rotor and magnet in a sub-diagram of one that holds the controller, too."""
-    data = {**read_document(shipped_diagrams()["jeffcott"]).data, **changes}
-    once, inner = group(data, ["rotor", "amb"], "machine", "machine.json")
+def grouped(folder: Path, *more: str) -> Path:
+    """Return the file of jeffcott with rotor and magnet in a sub-diagram of one that holds the controller, too.
+
+    more: blocks that stand beside the rotor.
+    """
+    data = read_document(shipped_diagrams()["jeffcott"]).data
+    once, inner = group(data, ["rotor", "amb", *more], "machine", "machine.json")
     (folder / "machine.json").write_text(format_document(inner))
     twice, outer = group(once, ["machine", "controller"], "loop", "loop.json")
     (folder / "loop.json").write_text(format_document(outer))
@@ -115,7 +118,7 @@ def test_blocks_that_were_removed_are_left_out_also_inside(tmp_path: Path) -> No
         diagram = load(file, without=[removed])
         alone = standalone(diagram)
         assert "crack" not in alone.document["blocks"]
-        assert "crack_stiffness" not in alone.document["parameters"]
+        assert "crack_stiffness" in alone.document["parameters"]  # which a recording may set
         assert "crack_stiffness" not in alone.document["identify"]
         same(diagram, load(alone.document), alone.blocks)
     data = read_document(shipped_diagrams()["jeffcott"]).data
@@ -139,3 +142,84 @@ def test_a_diagram_of_one_file_stays_as_it_is() -> None:
 def test_what_does_not_load_without_a_block_is_refused_with_the_input_it_leaves_open() -> None:
     with pytest.raises(RotorsimError, match=r"controller\.displacement: input is not wired"):
         load_standalone(load("jeffcott", without=["rotor"]))
+
+
+def test_a_block_that_was_removed_from_an_inner_sub_diagram_stays_out(tmp_path: Path) -> None:
+    diagram = load(grouped(tmp_path, "crack"), without=["loop/machine/crack"])
+    for found in (standalone(diagram), standalone(diagram, [])):
+        loaded = load(found.document, folder=tmp_path)
+        assert not any(name.endswith("crack") for name in loaded.nodes)
+        assert not any(item.name.startswith("crack") for item in loaded.free)
+        same(diagram, loaded, found.blocks)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("loop/machine/crack_stiffness", 1e5),
+        ("loop/machine.crack_stiffness", np.array(1e5)),
+        ("loop/machine/crack.opening", "switching"),
+        ("crack_stiffness", 1e5),
+    ],
+)
+def test_a_setting_of_an_inner_parameter_that_follows_an_outer_one(tmp_path: Path, name: str, value: Any) -> None:
+    diagram = load(grouped(tmp_path, "crack"), set={name: value})
+    for found in (standalone(diagram), standalone(diagram, [])):
+        loaded = load(found.document, folder=tmp_path)
+        flat = next(one for one in loaded.nodes if one.endswith("crack"))
+        for key, right in diagram.nodes["loop/machine/crack"].values.items():
+            assert np.array_equal(loaded.nodes[flat].values[key], right), key
+
+
+def test_settings_of_what_was_removed_are_dropped(tmp_path: Path) -> None:
+    given = {"loop/machine/crack.stiffness": 1e5, "crack_stiffness": 2e5}
+    diagram = load(grouped(tmp_path, "crack"), set=given, without=["loop/machine/crack"])
+    same(diagram, load(standalone(diagram).document), standalone(diagram).blocks)
+
+
+def test_what_a_document_says_of_removed_blocks_goes_with_them() -> None:
+    document = {
+        "parameters": {"extra": 2.0, "gone": 1.0},
+        "blocks": {
+            "source": {"type": "constant", "parameters": {"value": "$extra"}},
+            "gain": {"type": "gain"},
+            "extra": {"type": "gain", "parameters": {"gain": "$gone"}},
+        },
+        "wires": [["source.output", "gain.input"], ["gain.output", "extra.input"]],
+        "measured": {"gain.output": "extra.output"},
+        "record": ["gain.output", "extra.output"],
+        "identify": {"extra": {}, "gone": {}},
+        "ports": {"outputs": {"y": "extra.output", "z": "gain.output"}},
+        "layout": {"source": [0, 0], "gain": [1, 0], "extra": [2, 0]},
+    }
+    diagram = load(document, without=["extra"])
+    found = standalone(diagram).document
+    assert found["measured"] == {}
+    assert found["record"] == ["gain.output"]
+    assert found["identify"] == {"extra": {}}
+    assert found["ports"] == {"outputs": {"z": "gain.output"}}
+    assert found["layout"] == {"source": [0, 0], "gain": [1, 0]}
+    assert set(load(found).nodes) == {"source", "gain"}
+
+
+def test_an_entry_of_an_idle_parameter_is_not_free() -> None:
+    document = {
+        "parameters": {"k": [1.0, 2.0]},
+        "blocks": {
+            "source": {"type": "constant", "parameters": {"value": [1.0, 2.0]}},
+            "gain": {"type": "gain", "parameters": {"gain": "$k"}},
+        },
+        "wires": [["source.output", "gain.input"]],
+        "identify": {"k[1]": {}},
+    }
+    assert standalone(load(document, without=["gain"])).document["identify"] == {}
+
+
+def test_a_parameter_of_a_block_is_set_by_a_dot(tmp_path: Path) -> None:
+    with pytest.raises(RotorsimError) as raised:
+        load(grouped(tmp_path), set={"loop/machine/rotor/mass": 2.0})
+    assert str(raised.value) == (
+        "--set: error: loop/machine/rotor/mass: no diagram parameter 'loop/machine/rotor/mass'\n\n"
+        "hint: did you mean 'loop/machine/rotor.mass' or 'loop/machine/rotor.stiffness' or "
+        "'loop/machine/rotor.viscous_damping'?"
+    )

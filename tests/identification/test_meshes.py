@@ -86,10 +86,10 @@ def test_data_of_a_mesh_itself_keep_it():
 
 def test_a_finer_mesh_that_cannot_be_had_is_said():
     found, notes = on_fine_meshes(load("fe_rigid"), Fit(100.0, most=2))
-    told = "subdivisions 4 cannot be compared: it has modes too fast"
+    told = "subdivisions 4 cannot be compared (has modes too fast)"
     assert (found.parts, notes) == (2, [f"rotor: subdivisions 2, {WORDS}; {told}"])
     assert on_fine_meshes(load("fe_rigid"), Fit(100.0, most=1))[1] == [
-        "rotor: subdivisions 2 cannot be compared: it has modes too fast"
+        "rotor: subdivisions 2 cannot be compared (has modes too fast)"
     ]
 
 

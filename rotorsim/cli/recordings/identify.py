@@ -86,7 +86,7 @@ def command(
     \b
     rotorsim identify jeffcott measurements/2026-11 --out result
     """
-    from rotorsim.identification.files import identification_data, save_identification
+    from rotorsim.identification.files import identification_data, identified_diagram, save_identification
     from rotorsim.identification.harmonic.regression import THESIS_ORDERS
     from rotorsim.identification.identification import identify
     from rotorsim.recordings.orders import load_any
@@ -110,6 +110,8 @@ def command(
     show_problems(identification.warnings)
     if out:
         from rotorsim.report.identification.figures import save_figures
+
+        show_problems(identified_diagram(identification).notes)
 
         for file in [*save_identification(identification, out), *save_figures(identification, measured, out)]:
             note(f"written: {file}")

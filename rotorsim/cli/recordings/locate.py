@@ -82,7 +82,7 @@ def _save(best: Location, diagram: Diagram, file: str) -> None:
     folder = diagram.folder
     placed = load(best.document, folder=folder, trust_blocks=diagram.trusted)
     values = list(zip(best.estimate.free, best.estimate.theta.tolist(), strict=True))
-    write_atomically(file, format_document(with_values(placed, values)))
+    write_atomically(file, format_document(with_values(placed, values).document))
 
 
 def _criterion(item: Location) -> float:

@@ -24,7 +24,7 @@ def with_uncertain(diagram: Diagram) -> dict[str, Any]:
     document = copy.deepcopy(dict(diagram.document))
     wanted = document.setdefault("identify", {})
     for full, tolerance in uncertain(diagram).items():
-        block, _, key = full.rpartition(".")
+        block, _, key = full.partition("[")[0].rpartition(".")
         wanted[full] = {"prior": {"std": tolerance}}
         _write_out(document, block, key, diagram.nodes[block].values[key])
     for item in diagram.free:

@@ -251,14 +251,21 @@ def free_parameters(
 
 
 def uncertain(diagram: Diagram) -> dict[str, float]:
-    """Return the parameters that blocks declare with a tolerance, which nobody measured, and are not free; with it."""
-    free = {item.base for item in diagram.free}
-    found = {}
+    """Return the parameters that blocks declare with a tolerance, which nobody measured, and are not free; with it.
+
+    Of a parameter that is free in part, the other entries.
+    """
+    free = {(item.base, item.entry) for item in diagram.free}
+    found: dict[str, float] = {}
     for name, node in diagram.nodes.items():
         for key, declared in node.block.parameters.items():
-            full = f"{name}.{key}"
-            if declared.tolerance is not None and key not in node.references and full not in free:
-                found[full] = declared.tolerance
+            full, shape = f"{name}.{key}", node.values[key].shape
+            if declared.tolerance is None or key in node.references:
+                continue
+            held = [k for k in range(int(np.prod(shape))) if (full, k) not in free]
+            whole = len(held) == np.prod(shape)
+            entries = (",".join(str(i + 1) for i in np.unravel_index(k, shape)) for k in held)
+            found |= dict.fromkeys([full] if whole else [f"{full}[{one}]" for one in entries], declared.tolerance)
     return found
 
 

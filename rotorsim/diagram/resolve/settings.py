@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.diagram.parse.document import FlatDocument
 from rotorsim.diagram.parse.source import is_too_deep
@@ -16,11 +18,15 @@ SET = "set"  # key of what was set inside of sub-diagrams, in the document of a 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is set on top of a document: diagram parameters, parameters of blocks by flat name, the solver."""
+    """What is set on top of a document: diagram parameters, parameters of blocks by flat name, the solver.
+
+    inner: names of parameters of sub-diagrams ("part/k").
+    """
 
     parameters: dict[str, Any] = field(default_factory=dict)
     blocks: dict[str, dict[str, Any]] = field(default_factory=dict)
     solver: dict[str, Any] = field(default_factory=dict)
+    inner: set[str] = field(default_factory=set)
 
     @staticmethod
     def of(given: Mapping[str, Any]) -> Settings:
@@ -29,6 +35,7 @@ class Settings:
             raise RotorsimError(Problem("settings are a mapping of names to values", hint='set={"speed": "1500 rpm"}'))
         settings = Settings()
         for name, value in given.items():
+            value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
             block, dot, parameter = str(name).rpartition("." if "." in str(name) else "/")
             if not dot:
                 settings.parameters[parameter] = value
@@ -36,11 +43,13 @@ class Settings:
                 settings.solver[parameter] = value
             else:
                 settings.blocks.setdefault(block, {})[parameter] = value
+                settings.inner.update([str(name)] if dot == "/" else [])
         return settings
 
     def check(self, flat: FlatDocument) -> None:
         """Report names that the document does not have."""
-        for name in [name for name in self.parameters if name not in flat.parameters]:
+        wrong = [name for name in self.inner if name.rpartition("/")[0] in flat.blocks]
+        for name in [*(name for name in self.parameters if name not in flat.parameters), *wrong]:
             known = [*flat.parameters, *(f"{b}.{p}" for b, raw in flat.blocks.items() for p in raw.parameters)]
             flat.problems.error(f"no diagram parameter '{name}'", name, Place("--set"), near_miss(name, known))
         for name in [name for name in self.blocks if name not in flat.blocks and name not in flat.sub_diagrams]:

@@ -70,7 +70,7 @@ def smallest_size(
         raise RotorsimError(Problem("without noise every size is seen", hint='--noise "1, 2, 5"'))
 
     def sized(size: float, **changes: Any) -> Study:
-        document = with_values(diagram, [(known[parameter], size)])
+        document = with_values(diagram, [(known[parameter], size)]).document
         return with_document(study, document, method="likelihood", groups={}, bias=(0.0,), **changes)
 
     absent = bench_of(sized(0.0, free=names).text)

@@ -280,7 +280,7 @@ def products_of(search: OutputErrorSearch, evaluation: Evaluation, stretches: Se
                 gradients[b, own] += J.T @ e
                 H[np.ix_(own, own)] += J.T @ J
         information.append(H)
-    return Products(squares, gradients, np.array(information).reshape(-1, q, q))
+    return Products(squares, gradients, np.array(information).reshape(len(stretches), q, q))
 
 
 def block_misfit(search: OutputErrorSearch, evaluation: Evaluation, stretches: Sequence[Stretch]) -> np.ndarray:
