@@ -18,9 +18,8 @@ from rotorsim.diagnosis.evidence.evidence import Score
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
 from rotorsim.diagram.parse.fmt import format_document
-from rotorsim.errors import RotorsimError
 from rotorsim.files import write_atomically
-from rotorsim.simulation.stable_step import stable_steps
+from rotorsim.simulation.stable_step import with_stable_step
 
 DIAGRAM = "diagram.json"
 DIAGNOSIS_FILE = "diagnosis.json"
@@ -194,7 +193,7 @@ def _finite(value: float) -> float | None:
 def repaired_document(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the repaired diagram: the values of the fit with their units, the new blocks beside the old ones.
 
-    Where these, or finer meshes, are too fast for its step, with one that RK4 is stable with.
+    Where these, or finer meshes, are too fast for its step, with one that RK4 is stable with, or with radau.
     """
     document = copy.deepcopy(dict(diagnosis.document))
     units = {item.name: item.unit for item in diagnosis.after.free}
@@ -219,20 +218,7 @@ def repaired_document(diagnosis: Diagnosis) -> dict[str, Any]:
     if diagnosis.effects and diagnosis.verdict == "missing_physics":
         names = ", ".join(effect.physics for effect in diagnosis.effects)
         document["description"] = f"{description} Repaired by diagnosis: {names}.".strip()
-    steps = _stable_steps(diagnosis, document)
-    if steps:
-        document["solver"] = {**document.get("solver", {}), **steps}
-    return document
-
-
-def _stable_steps(diagnosis: Diagnosis, document: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the solver of a repaired diagram needs other than that of the diagram as given, which is stable."""
-    try:
-        given = stable_steps(diagnosis.evidence.load(diagnosis.before.document))
-        steps = {} if given else stable_steps(diagnosis.evidence.load(document))
-    except RotorsimError:
-        return {}
-    return {**steps, "step": f"{steps['step']!r} s"} if steps else {}
+    return with_stable_step(document, diagnosis.evidence.load)
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:

@@ -3,17 +3,35 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
+from rotorsim.errors import RotorsimError
 from rotorsim.linear.stability import growing, largest_stable_step
 from rotorsim.model.compiled import model_for_runs
+
+MOST_PARTS = 30  # of a step: beyond, radau takes less time, by beams of four to an element (fe_rigid)
+
+
+def with_stable_step(document: Mapping[str, Any], load: Callable[[Mapping[str, Any]], Diagram]) -> dict[str, Any]:
+    """Return a document with a step that RK4 is stable with, where its own is too long; load: makes a diagram of it."""
+    try:
+        steps = stable_steps(load(document))
+    except RotorsimError:
+        steps = {}
+    if not steps:
+        return dict(document)
+    told = {"step": f"{steps['step']!r} s"} if "step" in steps else {}
+    return {**document, "solver": {**document.get("solver", {}), **steps, **told}}
 
 
 def stable_steps(diagram: Diagram) -> dict[str, Any]:
     """Return the solver's ``step`` [s] and ``record_every`` with which RK4 is stable about the start of a run.
+
+    Where that takes MOST_PARTS times as many steps, the ``method`` radau, which is stable with any.
 
     h / n with the least whole n for which |R(lambda h / n)| <= 1 for all poles lambda, and n times as many steps from
     record to record. Empty where the diagram's own step h is stable, where no smaller one is (a pole grows), and where
@@ -28,4 +46,6 @@ def stable_steps(diagram: Diagram) -> dict[str, Any]:
     if not np.isfinite(A).all() or growing(A):
         return {}
     n = math.ceil(solver.step / largest_stable_step(np.linalg.eigvals(A)))
+    if n > MOST_PARTS:
+        return {"method": "radau"}
     return {} if n <= 1 else {"step": solver.step / n, "record_every": solver.record_every * n}

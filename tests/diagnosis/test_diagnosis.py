@@ -13,7 +13,7 @@ from rotorsim.diagnosis.conclude.validation import Proof
 from rotorsim.diagnosis.conclude.wording import statement
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
 from rotorsim.diagnosis.evidence.evidence import HeldScore
-from rotorsim.diagnosis.files import diagnosis_data, diagnosis_schema, save_diagnosis
+from rotorsim.diagnosis.files import diagnosis_data, diagnosis_schema, repaired_document, save_diagnosis
 from rotorsim.diagram.grouping import group
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.diagram.parse.source import read_document
@@ -98,6 +98,16 @@ def test_blocks_that_were_removed_are_missing():
     assert found.before.misfit > 100 * found.before.freedom
     assert found.verdict == "outside_catalogue"
     assert "crack" not in found.document["blocks"]
+
+
+def test_a_beam_whose_mesh_was_refined_can_be_run():
+    """FAULT: what was fitted on a finer mesh was written with the step of the coarser one, and diverged."""
+    runs = made("fe_rigid", (70.0, 140.0, 210.0), replace(TRUTH, parts=4), level=1e-4)
+    found = diagnose(load("fe_rigid"), recorded(runs), physics=("runout",), workers=1)
+    assert found.verdict == "consistent"
+    document = repaired_document(found)
+    assert document["blocks"]["rotor"]["parameters"]["subdivisions"] == 4
+    assert simulate(load(document), stop=0.002).status == "finished"
 
 
 def test_the_free_parameters_are_the_true_ones_again():

@@ -10,10 +10,12 @@ import pytest
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.errors import Problem, RotorsimError
+from rotorsim.identification.files import identified_diagram
 from rotorsim.identification.identification import identify
 from rotorsim.identification.meshes import on_fine_meshes
 from rotorsim.identification.result import Identification
 from rotorsim.model.load import load
+from rotorsim.simulation.run import simulate
 from tests.identification import TRUTH, errors, made, recorded
 
 WORDS = "for what the coarser mesh gets wrong shows in these data"
@@ -118,6 +120,13 @@ def test_a_beam_is_identified_on_a_mesh_as_fine_as_the_recording_shows(fine):
     assert max(errors(fine).values()) < 1e-3
     for name, item in fine.parameters.items():
         assert abs(item.value - TRUTH[name]) < 4 * item.std, name
+
+
+def test_the_diagram_that_is_written_runs(fine):
+    """Finer meshes are faster: RK4 is not stable with its step."""
+    written = load(identified_diagram(fine).document)
+    assert written.solver.method == "radau"
+    assert simulate(written, stop=0.002).status == "finished"
 
 
 def test_a_beam_of_the_mesh_as_drawn_stays_on_it():

@@ -1,12 +1,14 @@
 """Steps that hold for a diagram to which something fast has been added."""
 
+import json
+
 import numpy as np
 import pytest
 
 from rotorsim.linear.stability import step_factor
 from rotorsim.model.load import load
 from rotorsim.simulation.run import simulate
-from rotorsim.simulation.stable_step import stable_steps
+from rotorsim.simulation.stable_step import stable_steps, with_stable_step
 
 
 def chain(rate, **solver):
@@ -29,7 +31,30 @@ def test_a_step_is_divided_into_the_fewest_that_hold(rate, parts):
     assert simulate(chain(rate, **found)).status == "finished"
 
 
+def test_of_more_than_thirty_parts_radau_takes_less_time():
+    assert stable_steps(chain(2785.29 * 30.0)) == {"step": pytest.approx(1e-3 / 30), "record_every": 30}
+    assert stable_steps(chain(2785.30 * 30.0)) == {"method": "radau"}
+
+
 def test_no_step_is_changed_where_that_would_not_help():
     assert stable_steps(chain(-10.0)) == {}  # it grows
     assert stable_steps(chain(1e4, method="radau")) == {}
     assert stable_steps(load("jeffcott")) == {}
+
+
+def test_a_document_gets_a_step_that_its_finer_mesh_wants():
+    """FAULT: repaired beams, whose meshes had been refined, diverged at the step of the diagram as given."""
+    document = json.loads(json.dumps(load("fe_rigid").document))
+    assert with_stable_step(document, load) == document
+    for parts, method in ((2, "rk4"), (4, "radau")):
+        document["blocks"]["rotor"]["parameters"]["subdivisions"] = parts
+        assert simulate(load(document), stop=0.01).status == "diverged"
+        found = with_stable_step(document, load)
+        assert found["solver"]["method"] == method
+        assert simulate(load(found), stop=0.01).status == "finished"
+    assert found["solver"] == {**document["solver"], "method": "radau"}
+
+
+def test_a_document_that_does_not_load_stays_as_it_is():
+    document = {"blocks": {"a": {"type": "nothing"}}, "wires": []}
+    assert with_stable_step(document, load) == document
