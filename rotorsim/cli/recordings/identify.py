@@ -131,15 +131,29 @@ def _refuse_unheard(method: str, orders: str | None, reduction: str, given: tupl
     refuse_all(problems)
 
 
+def _digits(value: float, std: float) -> int:
+    """Return how many digits of a value show two of its standard deviation, from 6 to 15."""
+    known = value and math.isfinite(std) and std > 0
+    return min(max(2 + math.ceil(math.log10(abs(value) / std)), 6), 15) if known else 6
+
+
 def _text(identification: Identification) -> str:
     """Return the table of parameters, the fit and the statement."""
     rows = []
     for item in identification.parameters.values():
         unit, scale = parameter_unit(item.unit)
-        low, high = (f"{end * scale:.6g}" for end in item.interval90)
+        digits = _digits(item.value, item.std)
+        low, high = (f"{end * scale:.{digits}g}" for end in item.interval90)
         verdict = ("yes" if identification.adequate else "if the model is right") if item.verdict.identifiable else "NO"
         rows.append(
-            (item.name, f"{item.value * scale:.6g}", f"{item.std * scale:.2g}", f"{low} .. {high}", unit, verdict)
+            (
+                item.name,
+                f"{item.value * scale:.{digits}g}",
+                f"{item.std * scale:.2g}",
+                f"{low} .. {high}",
+                unit,
+                verdict,
+            )
         )
     errors = [
         (signal, *(f"{fit.get(signal, math.nan) * 100:.3g} %" for fit in identification.fit.values()), percent(floor))
