@@ -11,12 +11,13 @@ import numpy as np
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.resolve.settings import with_finer_mesh
-from rotorsim.errors import Place, Problem, RotorsimError, near_miss
+from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.identification.held import Estimated, contradictions_of, is_contradicted, settings_of, with_contradictions
 from rotorsim.identification.meshes import on_fine_meshes
 from rotorsim.identification.result import Identification, identified, sentences
 from rotorsim.identification.verdict import judge
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate
+from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.identification.waveform.noise import INVERTED, REWEIGHTED, independent_stretches
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel
 from rotorsim.identification.waveform.order_tracking import (
@@ -28,7 +29,7 @@ from rotorsim.identification.waveform.order_tracking import (
     tracked_orders,
     vectors_of,
 )
-from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, Evaluation
+from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.orders import OrderRecording, OrderRun
 from rotorsim.signals.orders.rows import slowness
@@ -109,19 +110,19 @@ def identify_orders(
         evaluation, labels = estimate.evaluation, fitted.labels
         held = [(recording, recording.select("hold_out"))]
         held += [] if hold_out is None else [(hold_out, hold_out.runs)]
-        compared = [_compared(search, evaluation, "identify")]
+        compared = [compared_orders(search, evaluation, "identify")]
         for source, runs in held:
             if runs:
                 other = order_search(tracked_orders(diagram, source, runs, wanted), variance)
                 at = other.evaluate(evaluation.unknowns, other.substeps(evaluation.unknowns), sensitivities=False)
-                compared.append(_compared(other, at, "hold_out"))
+                compared.append(compared_orders(other, at, "hold_out"))
     verdicts = judge(estimate, estimate.intervals, precision=precision)
     parameters, correlation = identified(estimate, verdicts)
     fit: dict[str, dict[str, float]] = {}
     for use in ("identify", "hold_out"):
         items = [item for group in compared for item in group if item.use == use]
         if items:
-            fit[use] = _errors(items, labels)
+            fit[use] = order_errors(items, labels)
     kept = {item.name for item in estimate.free}
     notes = [*recording.warnings, *([] if hold_out is None else hold_out.warnings)]
     notes += [*(Problem(note, severity="warning") for note in refined), *contradicted]
@@ -214,50 +215,6 @@ def _fitted(
     variance, search, evaluation = order_judged(search, evaluation, variance)
     estimate = order_estimate(search, evaluation, variance)
     return _Fitted(diagram, recording, wanted, tracked, variance, search, estimate)
-
-
-@dataclass(frozen=True)
-class OrdersBeside:
-    """A diagram as it is beside a run of orders: error of each channel as a share (nrmse) and rms, SI."""
-
-    compared: ComparedOrders
-    nrmse: Mapping[str, float]
-    rms: Mapping[str, float]
-    noise: Mapping[str, float]
-    slow_roll: Mapping[str, complex]
-    units: Mapping[str, str]
-
-
-def orders_beside(diagram: Diagram, recording: OrderRecording, run: str | None = None) -> OrdersBeside:
-    """Simulate a diagram as it is along a run of orders, extract them, and compare; slow roll is fitted along.
-
-    run: its id; default the first. Raises RotorsimError for what the diagram does not have, and where it diverges.
-    """
-    known = {one.id: one for one in recording.runs}
-    if run is not None and run not in known:
-        raise RotorsimError(Problem(f"no run '{run}'", recording.name, hint=near_miss(run, known)))
-    with one_thread():
-        tracked = tracked_orders(diagram, recording, [recording.runs[0] if run is None else known[run]], ())
-        variance = order_noise(tracked, CRITERIA.resolution)
-        search = order_search(tracked, variance)
-        start = search.first()
-        refuse_fast(search, start)
-        evaluation = search.minimise(start) if search.constants else search.evaluate(start, search.substeps(start))
-        refuse_diverged(diagram, evaluation)
-        [compared] = _compared(search, evaluation, "identify")
-    values, labels = evaluation.unknowns, tracked.labels
-    rms = {
-        label: float(np.sqrt(np.nanmean(np.abs(compared.measured[label] - compared.simulated[label]) ** 2)))
-        for label in labels
-    }
-    return OrdersBeside(
-        compared,
-        _errors([compared], labels),
-        rms,
-        {label: float(np.sqrt(variance["", label])) for label in labels},
-        {label: complex(values[2 * c], values[2 * c + 1]) for c, label in enumerate(labels) if search.constants},
-        {channel.label: channel.unit for channel in tracked.channels},
-    )
 
 
 def refuse_fast(search: OrderSearch, unknowns: np.ndarray) -> None:
@@ -367,7 +324,8 @@ def _slow_roll(search: OrderSearch, estimate: TimeEstimate) -> dict[str, SlowRol
     }
 
 
-def _compared(search: OrderSearch, evaluation: Evaluation, use: str) -> list[ComparedOrders]:
+def compared_orders(search: OrderSearch, evaluation: Evaluation, use: str) -> list[ComparedOrders]:
+    """Return the runs beside what is simulated of them."""
     tracked = search.tracked
     assert isinstance(tracked, TrackedOrders)
     return [
@@ -381,7 +339,7 @@ def _compared(search: OrderSearch, evaluation: Evaluation, use: str) -> list[Com
     ]
 
 
-def _errors(items: Sequence[ComparedOrders], labels: Sequence[str]) -> dict[str, float]:
+def order_errors(items: Sequence[ComparedOrders], labels: Sequence[str]) -> dict[str, float]:
     """Return sqrt(sum |Y - Y_model|^2 / sum |Y - mean|^2) of every channel."""
     found = {}
     for label in labels:

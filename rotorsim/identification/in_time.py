@@ -32,12 +32,13 @@ from rotorsim.identification.waveform.differences import by_differences
 from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.errors import errors_of
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate, with_angle_errors, with_late_pulses
+from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.identification.waveform.hum import with_mains_hum
 from rotorsim.identification.waveform.late_pulses import OnTime, on_time
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel, noise_model
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import Recording, Run

@@ -1,16 +1,25 @@
-"""Order vectors of a diagram that turns as the runs of a recording did, nothing of it fitted."""
+"""Order vectors of a diagram that turns as the runs of a recording did, nothing of it fitted but slow roll."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.errors import Problem, RotorsimError
+from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.identification.as_recorded import simulate_as_recorded
-from rotorsim.identification.in_orders import orders_beside
+from rotorsim.identification.in_orders import (
+    ComparedOrders,
+    compared_orders,
+    order_errors,
+    refuse_diverged,
+    refuse_fast,
+)
+from rotorsim.identification.waveform.order_tracking import order_noise, order_search, tracked_orders
+from rotorsim.jobs.threads import one_thread
 from rotorsim.measure.order_vectors import OrderVectors
 from rotorsim.model.load import load
 from rotorsim.recordings.orders import OrderRecording, OrderRun
@@ -18,6 +27,50 @@ from rotorsim.settled.periodic import periodic
 from rotorsim.signals.orders.extraction import tracked_recording
 
 Vectors = dict[str, np.ndarray]  # of channels, (n,)
+
+
+@dataclass(frozen=True)
+class OrdersBeside:
+    """A diagram as it is beside a run of orders: error of each channel as a share (nrmse) and rms, SI."""
+
+    compared: ComparedOrders
+    nrmse: Mapping[str, float]
+    rms: Mapping[str, float]
+    noise: Mapping[str, float]
+    slow_roll: Mapping[str, complex]
+    units: Mapping[str, str]
+
+
+def orders_beside(diagram: Diagram, recording: OrderRecording, run: str | None = None) -> OrdersBeside:
+    """Simulate a diagram as it is along a run of orders, extract them, and compare; slow roll is fitted along.
+
+    run: its id; default the first. Raises RotorsimError for what the diagram does not have, and where it diverges.
+    """
+    known = {one.id: one for one in recording.runs}
+    if run is not None and run not in known:
+        raise RotorsimError(Problem(f"no run '{run}'", recording.name, hint=near_miss(run, known)))
+    with one_thread():
+        tracked = tracked_orders(diagram, recording, [recording.runs[0] if run is None else known[run]], ())
+        variance = order_noise(tracked, CRITERIA.resolution)
+        search = order_search(tracked, variance)
+        start = search.first()
+        refuse_fast(search, start)
+        evaluation = search.minimise(start) if search.constants else search.evaluate(start, search.substeps(start))
+        refuse_diverged(diagram, evaluation)
+        [compared] = compared_orders(search, evaluation, "identify")
+    values, labels = evaluation.unknowns, tracked.labels
+    rms = {
+        label: float(np.sqrt(np.nanmean(np.abs(compared.measured[label] - compared.simulated[label]) ** 2)))
+        for label in labels
+    }
+    return OrdersBeside(
+        compared,
+        order_errors([compared], labels),
+        rms,
+        {label: float(np.sqrt(variance["", label])) for label in labels},
+        {label: complex(values[2 * c], values[2 * c + 1]) for c, label in enumerate(labels) if search.constants},
+        {channel.label: channel.unit for channel in tracked.channels},
+    )
 
 
 def simulated_vectors(

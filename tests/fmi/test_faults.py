@@ -22,7 +22,7 @@ from rotorsim.fmi.functions import close_instances
 from rotorsim.fmi.runtime.failure import FmuError
 from rotorsim.fmi.runtime.printing import Printed
 from rotorsim.identification.identification import identify
-from rotorsim.identification.waveform.search import Evaluation
+from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.jobs.jobs import Failure, Jobs
 from rotorsim.model.heard import GIVEN_UP, Mishap, hearing, remark, surviving, tell
 from rotorsim.recordings.loading import load_recording

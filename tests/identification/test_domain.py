@@ -14,7 +14,8 @@ from rotorsim.identification.identification import identify
 from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.differences import AS_TOLD, by_differences
 from rotorsim.identification.waveform.driven.domain import continued
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.evaluation import Evaluation
+from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording

@@ -13,7 +13,8 @@ from rotorsim.errors import Place, Problem, RotorsimError
 from rotorsim.identification import locate as locating
 from rotorsim.identification.harmonic.estimate import Search
 from rotorsim.identification.locate import Locations, locate
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.evaluation import Evaluation
+from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.model.heard import BARRED, tell
 
 EDGE = 1.2  # beyond, all fails

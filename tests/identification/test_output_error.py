@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from rotorsim.identification.waveform.data import Channels, SampledRun
+from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.identification.waveform.noise import reweighted
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.model.load import load
 

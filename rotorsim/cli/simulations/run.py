@@ -198,7 +198,7 @@ def _as_recorded(
 
 def _along_orders(chosen: Chosen, source: str, run_id: str | None, plot: str | None, as_json: bool) -> int:
     """Simulate a diagram along a run of orders over the speed; draw it beside what was measured, print the errors."""
-    from rotorsim.identification.in_orders import orders_beside
+    from rotorsim.identification.simulated_orders import orders_beside
     from rotorsim.recordings.orders import load_orders
 
     loaded, recording = chosen.open(), load_orders(source)

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.evaluation import Evaluation
+from rotorsim.identification.waveform.search import OutputErrorSearch
 
 DIFFERENCE = 1e-3  # of an unknown: what it changes is far above what a level at zero jitters, and its square far below
 AS_TOLD = 0.01  # of the change that a Jacobian tells: it falls as the square of DIFFERENCE where laws are smooth

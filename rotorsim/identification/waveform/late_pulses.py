@@ -19,10 +19,11 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.along_angle import turned_later
 from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.driven.equations import clock_ports
+from rotorsim.identification.waveform.evaluation import Evaluation, solved
 from rotorsim.identification.waveform.hum import with_mains_hum
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import NoiseModel, noise_model
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch, solved
+from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 
 LATE_PASSES = 2  # Gauss-Newton steps: what is left is of second order in an angle of a few degrees

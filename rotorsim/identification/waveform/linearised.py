@@ -19,7 +19,8 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram, Node, Wire
 from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.evaluation import Evaluation
+from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.linear.sampled import outputs, recursion, zero_order_hold
 from rotorsim.model.linearity import jacobian
 from rotorsim.model.matrix_function import MatrixFunction

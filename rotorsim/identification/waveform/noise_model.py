@@ -20,6 +20,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.data import Channels, SampledRun, mean_of
 from rotorsim.identification.waveform.driven.equations import ForceMap, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
+from rotorsim.identification.waveform.evaluation import Evaluation, Label
 from rotorsim.identification.waveform.noise import (
     Stretch,
     Variance,
@@ -32,7 +33,7 @@ from rotorsim.identification.waveform.noise import (
     variance_scale,
     weights_of,
 )
-from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, OutputErrorSearch
 from rotorsim.identification.waveform.shooting import angle_starts, is_lost, shot
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.linear import linearisation as linear

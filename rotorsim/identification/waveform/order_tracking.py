@@ -22,8 +22,9 @@ from rotorsim.errors import Problem, RotorsimError, near_miss
 from rotorsim.identification.waveform.data import RATE_PREFIX, STABLE_STEP, SampledRun, signal_name
 from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
+from rotorsim.identification.waveform.evaluation import Evaluation, Label
 from rotorsim.identification.waveform.reading import settings_of
-from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, OutputErrorSearch
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun

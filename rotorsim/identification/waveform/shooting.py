@@ -17,8 +17,9 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.evaluation import Evaluation, Label
 from rotorsim.identification.waveform.noise import variance_scale
-from rotorsim.identification.waveform.search import Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.search import OutputErrorSearch
 
 SHOT_SAMPLES = 8192  # of all runs, that are shot over
 SHOT_PARTS = (64, 16, 4, 1)  # of all these samples

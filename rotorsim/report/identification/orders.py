@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from rotorsim.identification.in_orders import OrderIdentification, OrdersBeside
+from rotorsim.identification.in_orders import OrderIdentification
+from rotorsim.identification.simulated_orders import OrdersBeside
 from rotorsim.recordings.orders import OrderRecording
 from rotorsim.report.figures.bode import Curve, bode_figure
 from rotorsim.report.identification.parameters import heading

@@ -25,9 +25,9 @@ from rotorsim.diagnosis.evidence.orders.whiteness import whiteness_of
 from rotorsim.diagnosis.evidence.validated import Validated
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
+from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.identification.waveform.noise import whitened
 from rotorsim.identification.waveform.order_tracking import TrackedOrders, tracked_orders, vectors_of
-from rotorsim.identification.waveform.search import Evaluation
 from rotorsim.model.load import load
 from rotorsim.recordings.orders import OrderChannel, OrderRecording, OrderRun
 from rotorsim.units import conversion

@@ -14,10 +14,11 @@ from rotorsim.diagnosis.evidence.orders.noise import DETERMINED_BY_ROWS, RowNois
 from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder
 from rotorsim.identification.in_orders import refuse_fast
 from rotorsim.identification.waveform.estimate import PART
+from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.identification.waveform.noise import Stretch, independent_stretches, products_of
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES
 from rotorsim.identification.waveform.order_tracking import OrderSearch
-from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation
+from rotorsim.identification.waveform.search import MOST_SIMULATIONS
 from rotorsim.model.heard import surviving
 
 FIRST_STEPS = 4  # from each start, before the best is followed

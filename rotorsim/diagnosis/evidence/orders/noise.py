@@ -17,6 +17,7 @@ from scipy.optimize import minimize
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.evidence.orders.whiteness import whiteness_of
+from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.identification.waveform.order_tracking import (
     OrderSearch,
     TrackedOrders,
@@ -24,7 +25,6 @@ from rotorsim.identification.waveform.order_tracking import (
     order_search,
     vectors_of,
 )
-from rotorsim.identification.waveform.search import Evaluation
 
 MOST_MEMORY = 0.95  # of a row, of the row before: twenty rows count as one
 # of the largest eigenvalue of the scaled information: below, a direction changes the rows by less than thrice what a

@@ -13,10 +13,11 @@ from rotorsim.diagnosis.evidence.evidence import HeldScore
 from rotorsim.diagnosis.evidence.orders.fitting import known_rows, stretches_of
 from rotorsim.diagnosis.evidence.orders.noise import RowNoise, WhitenedSearch, plain, whitened_search
 from rotorsim.identification.left_out import standardised, surprise
+from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.identification.waveform.noise import stacked
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES
 from rotorsim.identification.waveform.order_tracking import TrackedOrders, vectors_of
-from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation
+from rotorsim.identification.waveform.search import REFIT_EVALUATIONS
 from rotorsim.units import conversion
 
 FOLDS = 4  # each leaves out every fourth stretch of speed

@@ -28,16 +28,11 @@ from rotorsim.diagnosis.evidence.waveform.separation import Hypothesis, SensorNo
 from rotorsim.diagnosis.evidence.waveform.units import stand_ins
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.advice_in_time import SMALL_NOISE
+from rotorsim.identification.waveform.evaluation import Evaluation, Label
 from rotorsim.identification.waveform.linearised import linearised, places_of, simulated_signals, simulated_states
 from rotorsim.identification.waveform.noise import Noise, left_over, reweighted, unpredicted, variance_scale, weights_of
 from rotorsim.identification.waveform.noise_model import refined
-from rotorsim.identification.waveform.search import (
-    REFIT_EVALUATIONS,
-    SIMULATION_SUBSTEPS,
-    Evaluation,
-    Label,
-    OutputErrorSearch,
-)
+from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, SIMULATION_SUBSTEPS, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 
 SHORTER = 4  # times is a law approximated more nearly at once: errors, of first order at jumps, fall as that rises

@@ -17,7 +17,8 @@ from functools import cached_property
 
 import numpy as np
 
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch, solved
+from rotorsim.identification.waveform.evaluation import Evaluation, solved
+from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.starting import WORSE
 
 FIRST_ORDER_STARTS = 9  # starts of a law, evenly among those that are declared

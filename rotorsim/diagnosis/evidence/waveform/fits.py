@@ -18,6 +18,7 @@ from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.differences import by_differences
+from rotorsim.identification.waveform.evaluation import Evaluation, Label
 from rotorsim.identification.waveform.noise import (
     Stretch,
     Variance,
@@ -27,7 +28,7 @@ from rotorsim.identification.waveform.noise import (
     weights_of,
     whitened,
 )
-from rotorsim.identification.waveform.search import MOST_SIMULATIONS, Evaluation, Label, OutputErrorSearch
+from rotorsim.identification.waveform.search import MOST_SIMULATIONS, OutputErrorSearch
 from rotorsim.identification.waveform.shooting import is_lost, shot
 from rotorsim.identification.waveform.starting import started
 from rotorsim.identification.waveform.subsystems import subsystems_of

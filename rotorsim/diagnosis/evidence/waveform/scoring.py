@@ -9,8 +9,9 @@ import numpy as np
 
 from rotorsim.diagnosis.evidence.evidence import Score
 from rotorsim.identification.waveform.errors import errors_of
+from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.identification.waveform.noise import Variance
-from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 
 FOLDS = 4  # stretches of all runs, each left out once

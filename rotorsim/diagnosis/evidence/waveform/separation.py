@@ -19,8 +19,9 @@ from rotorsim.diagnosis.evidence.change import Change, best_of, change_of
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.identification.waveform.linearised import with_outputs
-from rotorsim.identification.waveform.search import Evaluation, OutputErrorSearch
+from rotorsim.identification.waveform.search import OutputErrorSearch
 
 TRIED_AMPLITUDES = (2.0, 0.5)  # times that of an input on record, about its mean
 LARGEST_OUTPUT = 2.5  # times the largest on record: twice is what a linear diagram gives, and a quarter more
