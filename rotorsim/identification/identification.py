@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA, Z90
 from rotorsim.diagram.diagram import Diagram, Free
-from rotorsim.diagram.resolve.settings import with_finer_mesh
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.advice import Advice, advise
+from rotorsim.identification.fitted import fit_harmonics
 from rotorsim.identification.harmonic.coordinates import stretched
 from rotorsim.identification.harmonic.estimate import Estimate, Search, estimate
 from rotorsim.identification.harmonic.experiment import open_experiment
@@ -20,7 +20,7 @@ from rotorsim.identification.harmonic.likelihood import Likelihood
 from rotorsim.identification.harmonic.profile import joint_factor, linear_intervals, profile_intervals
 from rotorsim.identification.harmonic.regression import THESIS_ORDERS, open_regression
 from rotorsim.identification.harmonic.scatter import scatter_of, with_covariance
-from rotorsim.identification.held import Estimated, contradictions_of, is_contradicted, settings_of, with_contradictions
+from rotorsim.identification.held import contradictions_of, is_contradicted, settings_of, with_contradictions
 from rotorsim.identification.in_orders import identify_orders
 from rotorsim.identification.in_time import identify_in_time
 from rotorsim.identification.meshes import on_fine_meshes
@@ -57,44 +57,6 @@ class HarmonicIdentification(Identification):
     def misfit_data(self) -> dict[str, Any]:
         """Return how large the residual is, in the form of identification.json."""
         return {"excess_variance": self.excess, "goodness": self.goodness}
-
-
-@dataclass(frozen=True, eq=False)
-class _Fitted:
-    """A diagram fitted to harmonics; opened: what compares another with them."""
-
-    diagram: Diagram
-    opened: Callable[[Diagram], Likelihood]
-    search: Search
-    estimate: Estimate
-
-    def change(self, block: str, parts: int) -> float:
-        """Return the square of what a finer mesh changes in the whitened prediction. Raises RotorsimError."""
-        finer = self.opened(with_finer_mesh(self.diagram, block, parts)).evaluate(self.estimate.theta)
-        change = finer.residual - self.estimate.evaluation.residual
-        return float(change @ change)
-
-    def finer(self, block: str, parts: int) -> _Fitted:
-        """Return the fit with a finer mesh, from where this one ended. Raises RotorsimError."""
-        return _fitted(with_finer_mesh(self.diagram, block, parts), self.opened, self.estimate.theta)
-
-    def worse_by(self, other: _Fitted) -> float:
-        """Return how much more another fit leaves."""
-        return other.estimate.misfit - self.estimate.misfit
-
-    def freed(self, more: Sequence[Free] = ()) -> Estimated:
-        """Return what is estimated with more parameters free, from where this fit ended. Raises RotorsimError."""
-        found = self.estimate
-        if more:
-            start = np.array([*found.theta, *(item.value for item in more)])
-            found = _fitted(replace(self.diagram, free=(*found.free, *more)), self.opened, start).estimate
-        return Estimated(found.free, found.theta, np.where(found.at_bound, np.inf, found.widening * found.std))
-
-
-def _fitted(diagram: Diagram, opened: Callable[[Diagram], Likelihood], start: np.ndarray | None = None) -> _Fitted:
-    """Return the most likely parameters from a start, the diagram as it is by default. Raises RotorsimError."""
-    search = Search(opened(diagram))
-    return _Fitted(diagram, opened, search, estimate(search, start))
 
 
 @said
@@ -180,13 +142,13 @@ def identify(
             search = Search(regression)
             result = estimate(search)
         else:
-            fitted, refined = on_fine_meshes(diagram, _fitted(diagram, opened_with))
+            fitted, refined = on_fine_meshes(diagram, fit_harmonics(diagram, opened_with))
             diagram, search, result = fitted.diagram, fitted.search, fitted.estimate
         if method == "likelihood" and harmonics is None and not result.adequate:
             without, picked = with_pickups(recording, found, find_mains(recording, found))
             if picked:
                 found = without
-                fitted, further = on_fine_meshes(diagram, _fitted(diagram, opened_with))
+                fitted, further = on_fine_meshes(diagram, fit_harmonics(diagram, opened_with))
                 diagram, search, result = fitted.diagram, fitted.search, fitted.estimate
                 refined = further or refined
                 treated = "it is fitted beside the harmonics"

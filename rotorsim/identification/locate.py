@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -12,10 +12,14 @@ import numpy as np
 
 from rotorsim.block import In
 from rotorsim.diagram.diagram import Diagram, Wire
+from rotorsim.diagram.resolve.settings import with_finer_mesh
 from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.identification.harmonic.estimate import Estimate, Search, estimate
+from rotorsim.identification.fitted import FittedHarmonics, fit_harmonics
+from rotorsim.identification.harmonic.estimate import Estimate
 from rotorsim.identification.harmonic.experiment import open_experiment
 from rotorsim.identification.harmonic.likelihood import Likelihood
+from rotorsim.identification.held import contradictions_of, settings_of
+from rotorsim.identification.meshes import on_fine_meshes
 from rotorsim.jobs.threads import one_thread
 from rotorsim.model.heard import Heard, hearing
 from rotorsim.model.load import load, load_standalone
@@ -65,7 +69,7 @@ def locate(
     block: its force enters one node of an additive input (``["crack.force", "rotor.force[4]"]``); it is tried at
     every node that can move. count: 2 adds a copy of the block with parameters of its own ("crack2.stiffness",
     "crack2.phase") and tries every pair of nodes. A crack's sag stays that of the diagram: what is identified is the
-    product of additive stiffness and sag at the place.
+    product of additive stiffness and sag at the place. Meshes are refined as the recording shows at the best place.
 
     A place at which a part whose equations are elsewhere fails is left out, and told. Raises RotorsimError for a block
     that does not act at one node, and what `identify` raises, where no place can be fitted.
@@ -74,37 +78,69 @@ def locate(
         raise RotorsimError(Problem(f"count must be 1 or 2, not {count}", "locate"))
     diagram, alone = load_standalone(diagram)
     recording, block, given = renamed(recording, alone.named), alone.block(block), [*map(alone.named, given)]
-    wires = _wires(diagram, block)
-    nodes = _nodes(diagram, wires)
-    document = dict(diagram.document)
     harmonics = harmonics_of(recording, recording.select("identify"))
-    tried: list[tuple[tuple[int, ...], Estimate, Mapping[str, Any]]] = []
-    failed: dict[tuple[int, ...], RotorsimError] = {}
+
+    def opened(placed: Diagram) -> Likelihood:
+        return Likelihood(open_experiment(placed, recording, given=given, harmonics=harmonics))
+
     every = Heard()
     with one_thread():
-        for places in combinations(nodes, count):
-            moved = _placed(document, diagram, block, wires, places)
-            model = load(moved, folder=diagram.folder, trust_blocks=diagram.trusted)
-            experiment = open_experiment(model, recording, given=given, harmonics=harmonics)
-            with hearing() as heard:
-                try:
-                    tried.append((places, estimate(Search(Likelihood(experiment)), tries=1), moved))
-                except RotorsimError as error:
-                    if not heard.mishaps:
-                        raise
-                    failed[places] = error
-            every.add(heard.mishaps)
-    if not tried and failed:
-        raise next(iter(failed.values()))
-    best = min(item.misfit for _, item, _ in tried)
-    scale = max(1.0, best / max(tried[0][1].freedom, 1))
-    weights = np.exp(-0.5 * (np.array([item.misfit for _, item, _ in tried]) - best) / scale)
+        tried, failed = _tried(diagram, block, count, opened, every)
+        best = min(tried.values(), key=_misfit)
+        meshed, refined = on_fine_meshes(best.diagram, best)
+        if meshed is not best:
+            tried, failed = _tried(_with_meshes(diagram, meshed.diagram), block, count, opened, every)
+            best = min(tried.values(), key=_misfit)
+        contradicted = contradictions_of(best.diagram, best, settings_of(recording.select("identify")))
+    least = best.estimate.misfit
+    scale = max(1.0, least / max(best.estimate.freedom, 1))
+    weights = np.exp(-0.5 * (np.array([fit.estimate.misfit for fit in tried.values()]) - least) / scale)
     found = [
-        Location(places, item.misfit, float(weight / weights.sum()), item, moved)
-        for (places, item, moved), weight in zip(tried, weights, strict=True)
+        Location(places, fit.estimate.misfit, float(weight / weights.sum()), fit.estimate, fit.diagram.document)
+        for (places, fit), weight in zip(tried.items(), weights, strict=True)
     ]
     why = {places: str(error.problems[0]) for places, error in failed.items()}
-    return Locations(sorted(found, key=lambda location: location.misfit), why, (*alone.notes, *every.problems()))
+    notes = [Problem(note, severity="warning") for note in refined]
+    told = (*alone.notes, *notes, *contradicted, *every.problems())
+    return Locations(sorted(found, key=lambda location: location.misfit), why, told)
+
+
+Nodes = tuple[int, ...]
+
+
+def _misfit(fit: FittedHarmonics) -> float:
+    return fit.estimate.misfit
+
+
+def _tried(
+    diagram: Diagram, block: str, count: int, opened: Callable[[Diagram], Likelihood], every: Heard
+) -> tuple[dict[Nodes, FittedHarmonics], dict[Nodes, RotorsimError]]:
+    """Return the fits with a block at each place, and why others failed; every: takes what went wrong on the way."""
+    wires = _wires(diagram, block)
+    tried: dict[Nodes, FittedHarmonics] = {}
+    failed: dict[Nodes, RotorsimError] = {}
+    for places in combinations(_nodes(diagram, wires), count):
+        moved = _placed(diagram.document, diagram, block, wires, places)
+        placed = load(moved, folder=diagram.folder, trust_blocks=diagram.trusted)
+        with hearing() as heard:
+            try:
+                tried[places] = fit_harmonics(placed, opened, tries=1)
+            except RotorsimError as error:
+                if not heard.mishaps:
+                    raise
+                failed[places] = error
+        every.add(heard.mishaps)
+    if not tried and failed:
+        raise next(iter(failed.values()))
+    return tried, failed
+
+
+def _with_meshes(diagram: Diagram, finer: Diagram) -> Diagram:
+    """Return a diagram with the meshes of another."""
+    for name, node in finer.nodes.items():
+        if node.block.refinement is not None and name in diagram.nodes:
+            diagram = with_finer_mesh(diagram, name, getattr(node.block.option, node.block.refinement))
+    return diagram
 
 
 def _wires(diagram: Diagram, block: str) -> list[Wire]:

@@ -89,11 +89,12 @@ def test_what_would_gain_less_than_a_misfit_of_one_is_an_end(kind: str) -> None:
 
 
 def test_a_place_that_cannot_be_fitted_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    def estimate(places: tuple[int, ...], *, tries: int) -> Any:
+    def fit(places: tuple[int, ...], *_: Any, tries: int) -> Any:
         if places == (2,):
             tell(failure())
             raise failure()
-        return SimpleNamespace(misfit=float(10 * places[0]), freedom=5)
+        estimate = SimpleNamespace(misfit=float(10 * places[0]), freedom=5)
+        return SimpleNamespace(estimate=estimate, diagram=SimpleNamespace(document={}))
 
     made: dict[str, Any] = {
         "_wires": lambda *_: [],
@@ -102,11 +103,10 @@ def test_a_place_that_cannot_be_fitted_is_told(monkeypatch: pytest.MonkeyPatch) 
         "load": lambda moved, **_: moved,
         "load_standalone": lambda given: (given, Standalone({})),
         "renamed": lambda given, _: given,
-        "open_experiment": lambda model, *_, **__: model,
         "harmonics_of": lambda *_: [],
-        "Likelihood": lambda experiment: experiment,
-        "Search": lambda likelihood: likelihood,
-        "estimate": estimate,
+        "fit_harmonics": fit,
+        "on_fine_meshes": lambda _, fit: (fit, []),
+        "contradictions_of": lambda *_: [],
     }
     for name, fake in made.items():
         monkeypatch.setattr(locating, name, fake)

@@ -42,12 +42,14 @@ def command(
 ) -> int:
     """Find the node at which a crack (or another force) acts: every node is tried and refitted.
 
-    Exit code 1: the place is not sure, the model does not explain the data even there, or a node could not be fitted.
+    Exit code 1: the place is not sure, the model does not explain the data even there, the recording contradicts what
+    the model holds at a value, or a node could not be fitted.
     With --count 2 the block and a copy of it are tried at every pair of nodes, and compared with one alone.
 
     \b
     rotorsim locate fe_rigid measurements --block crack
     """
+    from rotorsim.identification.held import is_contradicted
     from rotorsim.identification.locate import locate
     from rotorsim.recordings.loading import load_recording
 
@@ -69,7 +71,7 @@ def command(
     show(as_json, lambda: _data(locations, single, failed), lambda: f"{places}\n\n{said}")
     best = locations[0]
     sure = best.probability > CRITERIA.located and best.estimate.goodness >= CRITERIA.not_explained
-    return 0 if sure and not failed else 1
+    return 0 if sure and not failed and not is_contradicted(locations.warnings) else 1
 
 
 def _save(best: Location, diagram: Diagram, file: str) -> None:
