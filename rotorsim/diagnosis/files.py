@@ -18,6 +18,7 @@ from rotorsim.diagnosis.evidence.evidence import Score
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate
 from rotorsim.diagnosis.evidence.missing_signal import MissingSignal
 from rotorsim.diagram.parse.fmt import format_document
+from rotorsim.errors import RotorsimError
 from rotorsim.files import write_atomically
 from rotorsim.simulation.stable_step import with_stable_step
 
@@ -218,7 +219,11 @@ def repaired_document(diagnosis: Diagnosis) -> dict[str, Any]:
     if diagnosis.effects and diagnosis.verdict == "missing_physics":
         names = ", ".join(effect.physics for effect in diagnosis.effects)
         document["description"] = f"{description} Repaired by diagnosis: {names}.".strip()
-    return with_stable_step(document, diagnosis.evidence.load)
+    try:
+        repaired = diagnosis.evidence.load(document)
+    except RotorsimError:  # as a part that is not trusted
+        return document
+    return with_stable_step(document, repaired)
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:

@@ -154,7 +154,8 @@ class Diagram:
     warnings: what is odd but no mistake. free: what ``identify`` leaves to be estimated. measured: what a recording
     calls the first signal is the second one here, behind the model of a sensor. trusted: whether the code that it
     brings along may run (its FMUs). structural: diagram parameter -> an option that follows it, and is compiled in.
-    sub_ports: sub-diagram by its flat name -> what its ports stand for inside.
+    sub_ports: sub-diagram by its flat name -> what its ports stand for inside. removed: blocks taken out by
+    ``--without``, by flat name.
     """
 
     name: str
@@ -175,6 +176,7 @@ class Diagram:
     trusted: bool = False
     structural: Mapping[str, str] = field(default_factory=dict)
     sub_ports: Mapping[str, SubPorts] = field(default_factory=dict)
+    removed: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", _fixed(self.parameters))

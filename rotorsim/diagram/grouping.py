@@ -47,7 +47,7 @@ def group(data: Mapping[str, Any], blocks: Collection[str], name: str, file: str
     outer["blocks"] = _with_entries(entries, own, {name: {"type": "diagram", "file": file, **_followed(own)}}, name)
     _rename(outer, lambda block: f"{name}/{block}" if block.partition("/")[0] in own else block)
     inner: Document = {"schema_version": 1, "name": name}
-    parameters = {key: outer["parameters"][key] for key in _names_followed(own) if key in outer.get("parameters", {})}
+    parameters = {key: outer["parameters"][key] for key in names_followed(own) if key in outer.get("parameters", {})}
     inner |= {"parameters": parameters} if parameters else {}
     inner |= {"blocks": own, "wires": border.inside}
     inner |= {"block_folders": copy.deepcopy(outer["block_folders"])} if "block_folders" in outer else {}
@@ -191,13 +191,14 @@ def listed(written: Any) -> list[Any]:
     return list(written) if isinstance(written, list) else [written]
 
 
-def _names_followed(blocks: Mapping[str, Any]) -> list[str]:
+def names_followed(blocks: Mapping[str, Any]) -> list[str]:
+    """Return the parameters of a diagram that those of blocks follow."""
     values = [value for block in blocks.values() for value in block.get("parameters", {}).values()]
     return list(dict.fromkeys(value[1:] for value in values if isinstance(value, str) and value.startswith("$")))
 
 
 def _followed(blocks: Mapping[str, Any]) -> Document:
-    names = _names_followed(blocks)
+    names = names_followed(blocks)
     return {"parameters": {name: f"${name}" for name in names}} if names else {}
 
 

@@ -6,11 +6,11 @@ import copy
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.diagram.grouping import Document, dissolve, listed
+from rotorsim.diagram.grouping import Document, dissolve, listed, names_followed
 from rotorsim.diagram.parse.document import free_name
 from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.settings import SET
@@ -55,24 +55,35 @@ def standalone(diagram: Diagram, within: Iterable[str] | None = None) -> Standal
     """Return a document of a diagram that loads as it is: removed blocks are left out, what was set is in it.
 
     Sub-diagrams in which one of the blocks or parameters ``within`` is are dissolved, and those in which a block was
-    removed or set (default: all); their files stay as they are. Their parameters that blocks follow are parameters of
-    the diagram then.
+    removed or set (default: all); their files stay as they are. Their parameters are parameters of the diagram then,
+    unless they follow such.
     Raises RotorsimError where the file of one is not known.
     """
     document = copy.deepcopy(dict(diagram.document))
     settings = {_flat_name(diagram, name): value for name, value in document.pop(SET, {}).items()}
-    changed = bool(settings) or any(_lacks(diagram, document, part) for part in ("", *_parts(document)))
-    found = Standalone(document, {name: name for name in diagram.nodes}, {name: name for name in diagram.parameters})
-    reached = None if within is None else [*within, *settings]
+    blocks = {name: name for name in (*diagram.nodes, *diagram.removed)}
+    found = Standalone(document, blocks, {name: name for name in diagram.parameters})
+    changed = bool(settings or diagram.removed)
+    left = {name.partition("/")[0] for name in diagram.nodes}
+    inside = [name for name in diagram.removed if name.partition("/")[0] in left]
+    ends = [str(end) for wire in document.get("wires", []) for end in wire]  # that were added to what is flat
+    reached = None if within is None else [*within, *settings, *inside, *ends]
     while True:
         settings = _put(found.document, settings)
-        part = _next(found, diagram, reached)
+        part = _next(found, reached)
         if part is None:
             break
         changed = True
         found, outside = _dissolved(found, part, _inner(diagram, found.document, part))
         settings = {outside(name): value for name, value in settings.items()}
-    return replace(found, document=_without_removed(found), changed=changed)
+    document = _without_removed(found.document, *_named(found.blocks, diagram))
+    blocks = {name: here for name, here in found.blocks.items() if name in diagram.nodes}
+    return replace(found, document=document, blocks=blocks, changed=changed)
+
+
+def _named(blocks: Mapping[str, str], diagram: Diagram) -> tuple[list[str], list[str]]:
+    """Return what blocks that are there are called, and those that were removed."""
+    return [blocks[name] for name in diagram.nodes], [blocks[name] for name in diagram.removed]
 
 
 def _flat_name(diagram: Diagram, name: str) -> str:
@@ -98,54 +109,25 @@ def _parts(document: Document) -> list[str]:
     return [name for name, block in document["blocks"].items() if block.get("type") == "diagram"]
 
 
-def _next(found: Standalone, diagram: Diagram, within: list[str] | None) -> str | None:
+def _next(found: Standalone, within: list[str] | None) -> str | None:
     """Return a sub-diagram that is to be dissolved, None where none is left."""
     parts = _parts(found.document)
     if within is None:
         return next(iter(parts), None)
-    for name in map(found.named, within):
-        part, slash, rest = name.partition("/")
-        if slash and part in parts and ("." in rest or "/" in rest):
+    for name in within:
+        block = found.blocks.get(name)
+        part, slash, rest = (block or found.named(name)).partition("/")
+        if slash and part in parts and (block or "." in rest or "/" in rest):
             return part
-    there = {*found.blocks.values()}
-    return next((part for part in parts if _lacks(diagram, found.document, part, there)), None)
-
-
-def _lacks(diagram: Diagram, document: Document, part: str, there: Collection[str] | None = None) -> bool:
-    """Return whether a block was removed inside of a sub-diagram, of the whole without a name, but not all of it."""
-    there = diagram.nodes if there is None else there
-    if not part:
-        return any(not _is_there(name, there) for name in document["blocks"])
-    return _is_there(part, there) and _lacks_inside(diagram, document["blocks"][part], part, there)
-
-
-def _lacks_inside(diagram: Diagram, entry: Mapping[str, Any], part: str, there: Collection[str]) -> bool:
-    inner, folder = _read(diagram, entry, part), PurePosixPath(entry["file"]).parent
-    for name, block in inner["blocks"].items():
-        flat = f"{part}/{name}"
-        if not _is_there(flat, there):
-            return True
-        if block.get("type") == "diagram" and _lacks_inside(
-            diagram, {**block, "file": str(folder / block["file"])}, flat, there
-        ):
-            return True
-    return False
-
-
-def _is_there(name: str, there: Collection[str]) -> bool:
-    return name in there or any(one.startswith(f"{name}/") for one in there)
+    return None
 
 
 def _inner(diagram: Diagram, document: Document, part: str) -> Document:
     """Return the document of a sub-diagram's file. Raises RotorsimError where it is not known."""
-    return _read(diagram, document["blocks"][part], part)
-
-
-def _read(diagram: Diagram, entry: Mapping[str, Any], part: str) -> Document:
     if diagram.folder is None:
         what = "is inside of a sub-diagram, whose file is not known"
         raise RotorsimError(Problem(what, part, hint="load the diagram from its file"))
-    inner: Document = read_document(Path(diagram.folder) / entry["file"]).data
+    inner: Document = read_document(Path(diagram.folder) / document["blocks"][part]["file"]).data
     return inner
 
 
@@ -165,20 +147,23 @@ def _dissolved(found: Standalone, part: str, inner: Document) -> tuple[Standalon
     def parameter(name: str) -> str:
         return lifted.get(name) or (outside(name) if name.count("/") > 1 else name)
 
+    document["wires"] = [[outside(str(end)) for end in wire] for wire in document["wires"]]
     blocks = {name: outside(here) for name, here in found.blocks.items()}
     parameters = {name: parameter(here) for name, here in found.parameters.items()}
     return Standalone(document, blocks, parameters), outside
 
 
 def _lifted(document: Document, part: str, inner: Document) -> tuple[Document, dict[str, str]]:
-    """Return a document with parameters that those of a sub-diagram follow, and their names by those inside."""
+    """Return a document with the parameters of a sub-diagram among its own, and their names by those inside.
+
+    Not of those that follow one outside.
+    """
     entry, outer = document["blocks"][part], document.get("parameters", {})
-    followed = _followed(inner.get("blocks", {}))
     names: dict[str, str] = {}
     given, added = dict(entry.get("parameters", {})), dict(outer)
     for key, value in inner.get("parameters", {}).items():
         own: Any = given.get(key, value)
-        if key in followed and not (isinstance(own, str) and own.startswith("$") and key in given):
+        if not (isinstance(own, str) and own.startswith("$") and key in given):
             names[f"{part}/{key}"] = new = free_name(key if key not in added else f"{part}_{key}", added)
             added[new], given[key] = own, f"${new}"
     blocks = {**document["blocks"], part: {**entry, "parameters": given}}
@@ -191,31 +176,28 @@ def _lifted(document: Document, part: str, inner: Document) -> tuple[Document, d
     return changed | ({"identify": free} if free else {}), names
 
 
-def _followed(blocks: Mapping[str, Any]) -> set[str]:
-    """Return the names of the parameters that those of blocks follow."""
-    values = (value for block in blocks.values() for value in block.get("parameters", {}).values())
-    return {value[1:] for value in values if isinstance(value, str) and value.startswith("$")}
-
-
-def _without_removed(found: Standalone) -> Document:
-    """Return the document without blocks that are not in the diagram, and what it says of them.
+def _without_removed(document: Document, there: Collection[str], gone: Collection[str]) -> Document:
+    """Return a document without blocks that are gone, and what it says of them; there: those that are not.
 
     Parameters that nothing follows any more stay, but are not free: runs of a recording may set them.
     """
-    document, there = found.document, {*found.blocks.values()}
-    removed = {name for name in document["blocks"] if not _is_there(name, there)}
+
+    def holds(name: str, blocks: Collection[str]) -> bool:
+        return any(one == name or one.startswith(f"{name}/") for one in blocks)
+
+    removed = {name for name in document["blocks"] if holds(name, gone) and not holds(name, there)}
     if not removed:
         return document
 
     def touches(end: Any) -> bool:
-        block, dot, _ = str(end).partition(".")
-        return bool(dot) and block.partition("/")[0] in removed
+        owner, inside, _ = re.split(r"([./])", f"{end}.", maxsplit=1)
+        return owner in removed and (inside == "/" or "." in str(end))
 
     def idle(name: str) -> bool:
         return name.partition("[")[0] in document.get("parameters", {}).keys() - followed
 
     blocks = {name: block for name, block in document["blocks"].items() if name not in removed}
-    followed = _followed(blocks)
+    followed = {*names_followed(blocks)}
     kept = {**document, "blocks": blocks}
     kept["wires"] = [wire for wire in document.get("wires", []) if not any(map(touches, wire))]
     if "record" in document:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import copy
 import json
 import math
-from dataclasses import asdict, replace
-from functools import partial
+from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.diagram.parse.fmt import format_document
 from rotorsim.diagram.standalone import Standalone, standalone
+from rotorsim.errors import Problem, RotorsimError
 from rotorsim.files import write_atomically
 from rotorsim.identification.result import Identification
 from rotorsim.identification.verdict import Verdict
@@ -80,8 +81,8 @@ def _finite(value: float) -> float | None:
 def with_values(diagram: Diagram, free: list[tuple[Free, float]]) -> Standalone:
     """Return the document of a diagram with values put in place of free parameters (SI, with their unit).
 
-    It loads as it is: blocks that were removed (``--without``) are left out, with their wires and what was free in
-    them. Sub-diagrams with free parameters of blocks inside are dissolved: their files stay as they are.
+    Blocks that were removed (``--without``) are left out, with their wires and what was free in them. Sub-diagrams with
+    free parameters of blocks inside are dissolved: their files stay as they are.
     Raises RotorsimError where the file of one is not known.
     """
     alone = standalone(diagram, [item.base for item, _ in free])
@@ -125,28 +126,45 @@ def _replaced(values: np.ndarray, free: Free, text: Any, before: Any) -> Any:
     return before
 
 
-def identified_diagram(identification: Identification) -> Standalone:
-    """Return the document of the diagram with the identified values in it, and a step that RK4 is stable with.
-
-    Finer meshes are faster.
-    """
+@lru_cache(maxsize=1)  # for what is written, and what is said of it
+def identified_diagram(identification: Identification) -> tuple[dict[str, Any], tuple[Problem, ...]]:
+    """Return the document of the diagram with the identified values in it, and warnings; see `as_written`."""
     known = {item.name: item for item in identification.diagram.free}
     values = [
         (known[name], item.value)
         for name, item in identification.parameters.items()
         if name in known and known[name].low <= item.value <= known[name].high  # else the diagram would be refused
     ]
-    diagram = identification.diagram
-    found = with_values(diagram, values)
-    opened = partial(load, folder=diagram.folder, trust_blocks=diagram.trusted)
-    return replace(found, document=with_stable_step(found.document, opened))
+    return as_written(identification.diagram, values)
+
+
+def as_written(diagram: Diagram, values: list[tuple[Free, float]]) -> tuple[dict[str, Any], tuple[Problem, ...]]:
+    """Return the document of a diagram with values in it and a solver that is stable with them, and warnings.
+
+    Of new names, another solver (the modes of finer meshes are faster), and inputs that a removed block leaves open.
+    """
+    alone = with_values(diagram, values)
+    try:
+        loaded = load(alone.document, folder=diagram.folder, trust_blocks=diagram.trusted)
+    except RotorsimError as error:
+        first = error.problems[0]
+        what = f"what is written does not load: {first.subject}: {first.what}"
+        hint = "a block that feeds it was left out: put a constant in its place"
+        return alone.document, (*alone.notes, Problem(what, diagram.name, hint=hint, severity="warning"))
+    document = with_stable_step(alone.document, loaded)
+    solver = document.get("solver", {})
+    if solver == alone.document.get("solver", {}):
+        return document, tuple(alone.notes)
+    how = f"the step {solver['step']}" if solver.get("method", "rk4") == "rk4" else f"the method {solver['method']}"
+    what = f"what is written has {how}: its modes are too fast for the step of the diagram as given"
+    return document, (*alone.notes, Problem(what, diagram.name, severity="warning"))
 
 
 def save_identification(identification: Identification, folder: str | Path) -> list[Path]:
     """Write identification.json and diagram.json into a folder (made if need be); return the files."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    document = identified_diagram(identification).document
+    document, _ = identified_diagram(identification)
     files = [folder / IDENTIFICATION_FILE, folder / DIAGRAM]
     write_atomically(files[0], json.dumps(identification_data(identification), indent=2, allow_nan=False) + "\n")
     write_atomically(files[1], format_document(document))

@@ -27,12 +27,15 @@ MOVED_BY = 1.0  # standard deviations by which a parameter moves, to be named: b
 class Estimated:
     """Estimates theta (m,) of the free parameters, and their standard deviations (m,), as the residual scatters.
 
-    Infinite where a parameter is at a bound, or the data say nothing of it.
+    Infinite where a parameter is at a bound, or the data say nothing of it. misfit: weighted sum of squares; widening:
+    what standard deviations were multiplied by for its size.
     """
 
     free: Sequence[Free]
     theta: np.ndarray
     std: np.ndarray
+    misfit: float
+    widening: float = 1.0
 
 
 class FreeingFit(Protocol):
@@ -45,8 +48,8 @@ class FreeingFit(Protocol):
 def contradictions_of(diagram: Diagram, fit: FreeingFit, known: Collection[str] = ()) -> list[Problem]:
     """Return warnings of parameters that are held and, if they were free, would be others.
 
-    Those that blocks declare with a tolerance, the prior of a Wald test at `Criteria.not_explained`. known: what the
-    runs set.
+    Those that blocks declare with a tolerance, the prior of a Wald test at `Criteria.not_explained`; at a bound, the
+    fall of the misfit is tested. known: what the runs set.
     """
     held = [item for item in uncertain_parameters(diagram) if not {item.name, item.base} & {*known}]
     if not held:
@@ -64,10 +67,15 @@ def contradictions_of(diagram: Diagram, fit: FreeingFit, known: Collection[str] 
     problems = []
     for item in held:
         k = estimates.get(item.name)
-        if k is None or not abs(after.theta[k] - item.value) > limit * after.std[k]:
+        if k is None or after.theta[k] == item.value:
             continue
-        says = f"{format_quantity(after.theta[k], item.unit)} with a standard deviation of "
-        says += format_quantity(after.std[k], item.unit)
+        at_bound = after.theta[k] in (item.low, item.high)
+        fall = np.sqrt(max(before.misfit - after.misfit, 0.0))
+        off, std = (fall, after.widening) if at_bound else (abs(after.theta[k] - item.value), after.std[k])
+        if not off > limit * std:
+            continue
+        known = ", its bound" if at_bound else f" with a standard deviation of {format_quantity(std, item.unit)}"
+        says = format_quantity(after.theta[k], item.unit) + known
         what = f"is held at {format_quantity(item.value, item.unit)}, but the recording says {says}"
         hint = f'free it: "identify": {{"{item.name}": {{}}, ...}}{_moves(before, after)}'
         problems.append(Problem(what, item.name, hint=hint, severity="warning", code=CONTRADICTED))

@@ -150,7 +150,8 @@ def identify(
                 found = without
                 fitted, further = on_fine_meshes(diagram, fit_harmonics(diagram, opened_with))
                 diagram, search, result = fitted.diagram, fitted.search, fitted.estimate
-                refined = further or refined
+                told = {note.partition(":")[0] for note in further}
+                refined = [*(note for note in refined if note.partition(":")[0] not in told), *further]
                 treated = "it is fitted beside the harmonics"
                 warnings += pickup_warnings(picked, recording, "is asynchronous", treated)
         warnings += [Problem(note, severity="warning") for note in refined]

@@ -27,6 +27,8 @@ from rotorsim.recordings.orders import renamed
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.harmonics import harmonics_of
 
+MESHED = 3  # times that all places are tried on a finer mesh, as the best of them wants it
+
 
 @dataclass(frozen=True, eq=False)
 class Location:
@@ -87,9 +89,13 @@ def locate(
     with one_thread():
         tried, failed = _tried(diagram, block, count, opened, every)
         best = min(tried.values(), key=_misfit)
-        meshed, refined = on_fine_meshes(best.diagram, best)
-        if meshed is not best:
-            tried, failed = _tried(_with_meshes(diagram, meshed.diagram), block, count, opened, every)
+        refined: list[str] = []
+        for _ in range(MESHED):
+            meshed, further = on_fine_meshes(best.diagram, best)
+            if meshed is best:
+                break
+            diagram, refined = _with_meshes(diagram, meshed.diagram), further
+            tried, failed = _tried(diagram, block, count, opened, every)
             best = min(tried.values(), key=_misfit)
         contradicted = contradictions_of(best.diagram, best, settings_of(recording.select("identify")))
     least = best.estimate.misfit

@@ -48,5 +48,11 @@ def load_standalone(diagram: Diagram) -> tuple[Diagram, Standalone]:
     alone = standalone(diagram)
     if not alone.changed:
         return diagram, alone
-    found = load(alone.document, folder=diagram.folder, trust_blocks=diagram.trusted)
+    try:
+        found = load(alone.document, folder=diagram.folder, trust_blocks=diagram.trusted)
+    except RotorsimError as error:
+        if not diagram.removed:
+            raise
+        hint = f"left out was {', '.join(sorted(diagram.removed))}: put a constant in the place of what feeds it"
+        raise RotorsimError(*(replace(problem, hint=hint) for problem in error.problems)) from None
     return replace(found, name=diagram.name, file=diagram.file, warnings=diagram.warnings), alone

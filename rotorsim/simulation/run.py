@@ -195,7 +195,8 @@ def _plain(values: np.ndarray) -> Any:
 def without(diagram: Diagram) -> list[str]:
     """Return the blocks of the document (sub-diagrams as a whole) that the diagram was loaded without."""
     there = {name.partition("/")[0] for name in diagram.nodes}
-    return [str(name) for name in diagram.document.get("blocks", {}) if name not in there]
+    whole = [str(name) for name in diagram.document.get("blocks", {}) if name not in there]
+    return [*whole, *sorted(name for name in diagram.removed if name.partition("/")[0] in there)]
 
 
 def check_times(h: float, end: float, every: int) -> None:

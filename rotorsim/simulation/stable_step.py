@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,11 +16,11 @@ from rotorsim.model.compiled import model_for_runs
 MOST_PARTS = 30  # of a step: beyond, radau takes less time, by beams of four to an element (fe_rigid)
 
 
-def with_stable_step(document: Mapping[str, Any], load: Callable[[Mapping[str, Any]], Diagram]) -> dict[str, Any]:
-    """Return a document with a step that RK4 is stable with, where its own is too long; load: makes a diagram of it."""
+def with_stable_step(document: Mapping[str, Any], diagram: Diagram) -> dict[str, Any]:
+    """Return the document of a diagram with a step that RK4 is stable with, or radau, where its own is too long."""
     try:
-        steps = stable_steps(load(document))
-    except RotorsimError:
+        steps = stable_steps(diagram)
+    except RotorsimError:  # a part whose equations are elsewhere fails
         steps = {}
     if not steps:
         return dict(document)

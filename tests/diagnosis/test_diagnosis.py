@@ -88,7 +88,7 @@ def test_a_diagram_of_sub_diagrams_is_diagnosed_like_one_of_one_file(tmp_path):
     assert str(found.spots[0]) == "rotor.force"
     told = "its sub-diagrams are dissolved: part/crack is crack, part/rotor is rotor, part/controller is controller"
     assert [problem.what for problem in found.warnings if problem.subject == "jeffcott"] == [told]
-    assert found.after.misfit == pytest.approx(diagnosed(True).after.misfit, rel=0.2)
+    assert found.after.misfit == pytest.approx(diagnosed(True).after.misfit, rel=1e-6)
 
 
 def test_blocks_that_were_removed_are_missing():

@@ -16,8 +16,9 @@ from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.diagram.standalone import standalone
 from rotorsim.errors import RotorsimError
+from rotorsim.identification.waveform.along_angle import with_reaction
 from rotorsim.model.load import load, load_standalone
-from rotorsim.simulation.run import simulate
+from rotorsim.simulation.run import simulate, without
 
 SIGNALS = ("rotor.displacement", "controller.current")
 
@@ -94,7 +95,7 @@ def test_a_parameter_of_a_sub_diagram_that_blocks_follow_is_one_of_the_diagram(t
     }
     diagram = load(outer, folder=tmp_path)
     alone = standalone(diagram)
-    assert alone.document["parameters"] == {"k": 5.0, "gains_k": 2.0}
+    assert alone.document["parameters"] == {"k": 5.0, "gains_k": 2.0, "unused": 1.0}
     assert alone.named("gains/k") == "gains_k"
     assert alone.document["identify"] == {"gains_k": {"low": 1.0}}
     loaded = load(alone.document)
@@ -223,3 +224,50 @@ def test_a_parameter_of_a_block_is_set_by_a_dot(tmp_path: Path) -> None:
         "hint: did you mean 'loop/machine/rotor.mass' or 'loop/machine/rotor.stiffness' or "
         "'loop/machine/rotor.viscous_damping'?"
     )
+
+
+def test_a_diagram_that_was_loaded_with_settings_loads_from_its_document(tmp_path: Path) -> None:
+    """FAULT: unknown key 'set': ensembles in other processes and sensitivity load the document again."""
+    diagram = load(grouped(tmp_path), set={"loop/machine/rotor.mass": 2.5, "speed": 150.0})
+    again = load(diagram.document, folder=tmp_path, set={"loop/machine/rotor.stiffness": 7e5})
+    assert again.nodes["loop/machine/rotor"].values["mass"] == 2.5
+    assert again.nodes["loop/machine/rotor"].values["stiffness"] == 7e5
+    same(diagram, load(diagram.document, folder=tmp_path), {name: name for name in diagram.nodes})
+
+
+def test_wires_to_what_is_inside_are_those_of_the_blocks(tmp_path: Path) -> None:
+    """A run-up wires unbalances inside of sub-diagrams to the acceleration of the clock."""
+    data = read_document(shipped_diagrams()["jeffcott_runup"]).data
+    data["wires"] = [wire for wire in data["wires"] if "unbalance.acceleration" not in wire]
+    for chosen in (["unbalance"], ["clock"], ["clock", "unbalance"]):
+        outer, inner = group(data, chosen, "part", "part.json")
+        (tmp_path / "part.json").write_text(format_document(inner))
+        diagram = with_reaction(load(outer, folder=tmp_path))
+        for found in (standalone(diagram), standalone(diagram, [])):
+            wires = [[str(w.source), str(w.target)] for w in load(found.document, folder=tmp_path).wires]
+            assert ["clock.acceleration", "unbalance.acceleration"] in wires
+
+
+def test_what_is_free_inside_of_a_removed_sub_diagram_goes_with_it(tmp_path: Path) -> None:
+    outer, inner = group(read_document(shipped_diagrams()["jeffcott"]).data, ["crack"], "part", "part.json")
+    outer["blocks"]["part"]["parameters"]["crack_phase"] = "3 deg"
+    del outer["parameters"]["crack_phase"], outer["identify"]["crack_phase"]
+    outer["identify"]["part/crack_phase"] = {}
+    (tmp_path / "part.json").write_text(format_document(inner))
+    diagram = load(outer, folder=tmp_path, without=["part"])
+    for found in (standalone(diagram), standalone(diagram, [])):
+        assert load(found.document).free == diagram.free
+
+
+def test_without_names_blocks_inside_too(tmp_path: Path) -> None:
+    """FAULT: ensembles in other processes had them back."""
+    file = grouped(tmp_path, "crack")
+    assert without(load(file, without=["loop/machine/crack", "bus"])) == ["bus", "loop/machine/crack"]
+    assert without(load(file, without=["loop"])) == ["loop"]
+
+
+def test_what_lacks_a_removed_block_says_so() -> None:
+    with pytest.raises(RotorsimError) as raised:
+        load_standalone(load("jeffcott", without=["controller"]))
+    hint = "hint: left out was controller: put a constant in the place of what feeds it"
+    assert str(raised.value).count(hint) == 2

@@ -218,7 +218,9 @@ def test_one_file_may_be_used_many_times_with_shapes_of_its_own(parts: Path) -> 
         ({"outer[2]": 9.0}, [1.0, 9.0], [1.0, 9.0], [1.0, 9.0]),
         ({"pair.v[2]": 9.0}, [1.0, 2.0], [1.0, 9.0], [1.0, 9.0]),
         ({"pair/one.value[2]": 9.0}, [1.0, 2.0], [1.0, 9.0], [1.0, 2.0]),
+        ({"pair/v[2]": 9.0}, [1.0, 2.0], [1.0, 9.0], [1.0, 9.0]),
         ({"pair/two.v[2]": 9.0}, [1.0, 2.0], [1.0, 2.0], [1.0, 9.0]),
+        ({"pair/two/v[2]": 9.0}, [1.0, 2.0], [1.0, 2.0], [1.0, 9.0]),
         # what is followed first, in whatever order they are given
         ({"pair/two.v[2]": 9.0, "pair.v[1]": 8.0, "outer[2]": 7.0}, [1.0, 7.0], [8.0, 7.0], [8.0, 9.0]),
     ],

@@ -56,8 +56,8 @@ def test_nothing_is_said_where_nothing_is_wrong(seed):
 class Fit:
     """An estimate of the damping of discs with a standard deviation of 1 N s/m, and of what moves with it."""
 
-    def __init__(self, damping=5.0, failure=""):
-        self.damping, self.failure = damping, failure
+    def __init__(self, damping=5.0, failure="", fall=0.0):
+        self.damping, self.failure, self.fall = damping, failure, fall
         self.given = [
             Free("crack_stiffness", "crack_stiffness", 0, 3e5, "N/m", 0.0, np.inf),
             Free("crack_phase", "crack_phase", 0, 0.0, "rad", -np.inf, np.inf),
@@ -66,11 +66,12 @@ class Fit:
 
     def freed(self, more=()):
         if not more:
-            return Estimated(self.given, np.array([2.5e5, 3.14, 0.0]), np.array([10.0, 0.01, 0.0]))
+            return Estimated(self.given, np.array([2.5e5, 3.14, 0.0]), np.array([10.0, 0.01, 0.0]), 100.0 + self.fall)
         if self.failure:
             raise RotorsimError(Problem(self.failure, "fe_rigid"))
         theta = [2.5e5 - 25.0, -3.14, 1.0, *[self.damping] * len(more)]
-        return Estimated([*self.given, *more], np.array(theta), np.array([12.0, 0.01, 1.0, *[1.0] * len(more)]))
+        std = np.array([12.0, 0.01, 1.0, *[1.0 if self.damping else np.inf] * len(more)])
+        return Estimated([*self.given, *more], np.array(theta), std, 100.0)
 
 
 def test_the_level_is_one_in_ten_thousand():
@@ -84,6 +85,14 @@ def test_the_level_is_one_in_ten_thousand():
         'free it: "identify": {"rotor.disc_damping[1]": {}, ...}; that moves crack_stiffness by 2.5 standard deviations'
     )
     assert contradictions_of(load("jeffcott"), Fit()) == []
+
+
+def test_at_its_bound_the_fall_of_the_misfit_says_it():
+    """Of one degree of freedom: 15.137 is exceeded by noise in one of ten thousand."""
+    held = changed("fe_rigid", lambda document: document["blocks"]["rotor"]["parameters"].update(disc_damping=[20.0]))
+    assert contradictions_of(held, Fit(0.0, fall=15.13)) == []
+    [problem] = contradictions_of(held, Fit(0.0, fall=15.14))
+    assert problem.what == "is held at 20 N s/m, but the recording says 0 N s/m, its bound"
 
 
 def test_what_runs_set_is_known():

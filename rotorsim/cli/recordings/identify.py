@@ -111,7 +111,7 @@ def command(
     if out:
         from rotorsim.report.identification.figures import save_figures
 
-        show_problems(identified_diagram(identification).notes)
+        show_problems(identified_diagram(identification)[1])
 
         for file in [*save_identification(identification, out), *save_figures(identification, measured, out)]:
             note(f"written: {file}")
@@ -133,7 +133,7 @@ def _refuse_unheard(method: str, orders: str | None, reduction: str, given: tupl
 
 def _digits(value: float, std: float) -> int:
     """Return how many digits of a value show two of its standard deviation, from 6 to 15."""
-    known = value and math.isfinite(std) and std > 0
+    known = value and math.isfinite(value) and math.isfinite(std) and std > 0
     return min(max(2 + math.ceil(math.log10(abs(value) / std)), 6), 15) if known else 6
 
 

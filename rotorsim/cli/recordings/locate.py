@@ -78,13 +78,15 @@ def _save(best: Location, diagram: Diagram, file: str) -> None:
     """Write the diagram with the block at a place, with the values identified there."""
     from rotorsim.diagram.parse.fmt import format_document
     from rotorsim.files import write_atomically
-    from rotorsim.identification.files import with_values
+    from rotorsim.identification.files import as_written
     from rotorsim.model.load import load
 
     folder = diagram.folder
     placed = load(best.document, folder=folder, trust_blocks=diagram.trusted)
     values = list(zip(best.estimate.free, best.estimate.theta.tolist(), strict=True))
-    write_atomically(file, format_document(with_values(placed, values).document))
+    document, notes = as_written(placed, values)
+    show_problems(notes)
+    write_atomically(file, format_document(document))
 
 
 def _criterion(item: Location) -> float:

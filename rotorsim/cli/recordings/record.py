@@ -294,7 +294,6 @@ def _with_sweeps(
     rate: float | None,
 ) -> tuple[list[Diagram], dict[str, tuple[str, str, str]], list[tuple[str, dict[str, Any]]]]:
     """Return diagrams with sweeps in them, what their signals are of the loops, and the parameters of each axis."""
-    from rotorsim.diagram.resolve.settings import SET
     from rotorsim.linear.loop import injections
     from rotorsim.measure.injection import Sweep, with_sweeps
     from rotorsim.model.load import load
@@ -315,8 +314,7 @@ def _with_sweeps(
     made = [with_sweeps(diagram, ports, plan, window) for diagram in diagrams]
     folder = Path(diagrams[0].file).parent if diagrams[0].file else None
     trust, cut = chosen.trust_blocks, chosen.without
-    parts = [(one.document, one.document.pop(SET, {})) for one in made]
-    opened = [load(one, set=given, without=cut, trust_blocks=trust, folder=folder) for one, given in parts]
+    opened = [load(one.document, without=cut, trust_blocks=trust, folder=folder) for one in made]
     return opened, made[0].signals, made[0].cases(plan)
 
 

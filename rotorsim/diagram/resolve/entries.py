@@ -40,8 +40,9 @@ def with_entries(
 
 def _depth(name: str) -> tuple[bool, int]:
     """Return parameters of the diagram as the lowest, then those of blocks and sub-diagrams, then what is in these."""
-    block, dot, _ = name.partition("[")[0].rpartition(".")
-    return bool(dot), block.count("/")
+    base = name.partition("[")[0]
+    block, sign, _ = base.rpartition("." if "." in base else "/")
+    return bool(sign), block.count("/")
 
 
 def _whole(diagram: Diagram, entries: Mapping[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
@@ -86,7 +87,7 @@ def _value(diagram: Diagram, base: str) -> Any:
             if reference == base
         )
         return np.broadcast_to(given, next(following, given).shape) if given.ndim == 0 else given
-    block, _, parameter = base.rpartition(".")
+    block, _, parameter = base.rpartition("." if "." in base else "/")
     if block in diagram.sub_ports:
         outer = diagram.sub_ports[block].follows.get(parameter)
         return _value(diagram, outer) if outer else diagram.parameters.get(f"{block}/{parameter}")

@@ -22,7 +22,7 @@ from rotorsim.diagram.resolve.fitting import Fitting
 from rotorsim.diagram.resolve.free import free_parameters, unknown_names
 from rotorsim.diagram.resolve.measured import measured_signals
 from rotorsim.diagram.resolve.registry import Registry
-from rotorsim.diagram.resolve.settings import Settings
+from rotorsim.diagram.resolve.settings import SET, Settings
 from rotorsim.diagram.resolve.template import Templates
 from rotorsim.diagram.resolve.values import ValueProblem, numeric
 from rotorsim.diagram.resolve.wiring import UNFINISHED, Wiring
@@ -83,6 +83,9 @@ def resolve(
     unfinished: takes what is only missing yet (wires, sizes), which is an error without it; these inputs read zero.
     Raises RotorsimError with every mistake found; warnings are in ``diagram.warnings``.
     """
+    if isinstance(source, Mapping) and SET in source:  # of a diagram that was loaded with settings
+        set = {**source[SET], **(set or {})}
+        source = {key: value for key, value in source.items() if key != SET}
     if entries := entries_set(set):
         rest = {name: value for name, value in (set or {}).items() if name not in entries}
         more: dict[str, Any] = {"without": without, "trust_blocks": trust_blocks, "folder": folder}
@@ -147,6 +150,7 @@ def resolve(
         trusted=trust_blocks,
         structural=drafter.structural,
         sub_ports=flat.sub_ports,
+        removed=removed,
     )
 
 

@@ -37,9 +37,9 @@ class Settings:
         for name, value in given.items():
             value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
             block, dot, parameter = str(name).rpartition("." if "." in str(name) else "/")
-            if not dot:
-                settings.parameters[parameter] = value
-            elif block == "solver":
+            if not block:
+                settings.parameters[str(name)] = value
+            elif block == "solver" and dot == ".":
                 settings.solver[parameter] = value
             else:
                 settings.blocks.setdefault(block, {})[parameter] = value

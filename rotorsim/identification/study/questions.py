@@ -69,11 +69,16 @@ def smallest_size(
     if not cases:
         raise RotorsimError(Problem("without noise every size is seen", hint='--noise "1, 2, 5"'))
 
-    def sized(size: float, **changes: Any) -> Study:
-        document = with_values(diagram, [(known[parameter], size)]).document
-        return with_document(study, document, method="likelihood", groups={}, bias=(0.0,), **changes)
+    def sized(size: float, free: Sequence[str], **changes: Any) -> Study:
+        alone = with_values(diagram, [(known[parameter], size)])
+        here = {
+            "without": (),
+            "gains": tuple({alone.named(name): value for name, value in gains.items()} for gains in study.gains),
+            "free": tuple(map(alone.named, free)),
+        }
+        return with_document(study, alone.document, method="likelihood", groups={}, bias=(0.0,), **here, **changes)
 
-    absent = bench_of(sized(0.0, free=names).text)
+    absent = bench_of(sized(0.0, names).text)
     found = []
     for number, case in enumerate(cases):
         std = absent.expected_std(case.kind, case.noise)
@@ -83,7 +88,7 @@ def smallest_size(
         size, share = expected, 0.0
         for step in range(STEPS):
             size = expected * STEP**step
-            trial = sized(size, free=kept, kinds=(case.kind,), noise=(case.noise,))
+            trial = sized(size, kept, kinds=(case.kind,), noise=(case.noise,))
 
             def show(part: float, done: float = number + step / STEPS) -> None:
                 if progress:
