@@ -36,7 +36,7 @@ def machine(acceleration, *, stop: float, step: float = 1e-3, start: float = 1e-
         record=("body.displacement",),
     )
     model.diagram.solver = SimpleNamespace(step=step, stop=stop, record_every=1, method="rk4", rtol=1e-9, atol=1e-12)
-    model.diagram.sha256, model.diagram.document = "", {}
+    model.diagram.sha256, model.diagram.document, model.diagram.removed = "", {}, frozenset()
     return model
 
 
