@@ -43,8 +43,8 @@ class FittedHarmonics:
         if more:
             start = np.array([*found.theta, *(item.value for item in more)])
             found = fit_harmonics(replace(self.diagram, free=(*found.free, *more)), self.opened, start).estimate
-        std = np.where(found.at_bound, np.inf, found.widening * found.std)
-        return Estimated(found.free, found.theta, std, found.misfit, found.widening)
+        std = found.widening * found.std
+        return Estimated(found.free, found.theta, std, found.at_bound, found.misfit, found.widening)
 
 
 def fit_harmonics(

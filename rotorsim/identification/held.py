@@ -20,6 +20,7 @@ from rotorsim.recordings.recording import Run
 from rotorsim.units import format_quantity
 
 CONTRADICTED = "held_value"  # code of what the recording contradicts
+DIGITS_SAID = 3  # of what a recording says
 MOVED_BY = 1.0  # standard deviations by which a parameter moves, to be named: beyond, most of its 90 % interval is left
 
 
@@ -27,13 +28,14 @@ MOVED_BY = 1.0  # standard deviations by which a parameter moves, to be named: b
 class Estimated:
     """Estimates theta (m,) of the free parameters, and their standard deviations (m,), as the residual scatters.
 
-    Infinite where a parameter is at a bound, or the data say nothing of it. misfit: weighted sum of squares; widening:
-    what standard deviations were multiplied by for its size.
+    at_bound (m,): where the search ended at one. misfit: weighted sum of squares; widening: what standard deviations
+    were multiplied by for its size.
     """
 
     free: Sequence[Free]
     theta: np.ndarray
     std: np.ndarray
+    at_bound: np.ndarray
     misfit: float
     widening: float = 1.0
 
@@ -67,15 +69,18 @@ def contradictions_of(diagram: Diagram, fit: FreeingFit, known: Collection[str] 
     problems = []
     for item in held:
         k = estimates.get(item.name)
-        if k is None or after.theta[k] == item.value:
+        if k is None:
             continue
-        at_bound = after.theta[k] in (item.low, item.high)
-        fall = np.sqrt(max(before.misfit - after.misfit, 0.0))
-        off, std = (fall, after.widening) if at_bound else (abs(after.theta[k] - item.value), after.std[k])
+        if after.at_bound[k]:
+            off, std = np.sqrt(max(before.misfit - after.misfit, 0.0)), after.widening
+            bound = min(item.low, item.high, key=lambda end: abs(end - after.theta[k]))
+            says = f"{format_quantity(bound, item.unit)}, its bound"
+        else:
+            off, std = abs(after.theta[k] - item.value), after.std[k]
+            says = f"{format_quantity(after.theta[k], item.unit, DIGITS_SAID)} with a standard deviation of "
+            says += format_quantity(std, item.unit, DIGITS_SAID)
         if not off > limit * std:
             continue
-        known = ", its bound" if at_bound else f" with a standard deviation of {format_quantity(std, item.unit)}"
-        says = format_quantity(after.theta[k], item.unit) + known
         what = f"is held at {format_quantity(item.value, item.unit)}, but the recording says {says}"
         hint = f'free it: "identify": {{"{item.name}": {{}}, ...}}{_moves(before, after)}'
         problems.append(Problem(what, item.name, hint=hint, severity="warning", code=CONTRADICTED))
@@ -110,8 +115,9 @@ def _moves(before: Estimated, after: Estimated) -> str:
     """Return which parameters move with what is free, and how far."""
     estimates = {item.name: value for item, value in zip(after.free, after.theta, strict=True)}
     moved = {}
-    for item, value, std in zip(before.free, before.theta, before.std, strict=True):
-        if item.name not in estimates or not std > 0:
+    stds = np.where(before.at_bound, np.inf, before.std)
+    for item, value, std in zip(before.free, before.theta, stds, strict=True):
+        if item.name not in estimates or not 0 < std < np.inf:
             continue
         by = estimates[item.name] - value
         moved[item.name] = abs(np.angle(np.exp(1j * by)) if item.unit == ANGLE_UNIT else by) / std

@@ -195,7 +195,7 @@ class _Fitted:
             parts = found.evaluation.unknowns
             start = np.concatenate([parts[: found.m], [item.value for item in more], parts[found.m :]])
             found = _fitted(self.diagram, self.recording, (*self.wanted, *more), start).estimate
-        return Estimated(found.free, found.theta, np.where(found.at_bound, np.inf, found.std), found.misfit)
+        return Estimated(found.free, found.theta, found.std, found.at_bound, found.misfit)
 
 
 def _fitted(

@@ -222,7 +222,7 @@ class _Fitted:
             near = dict(zip((item.name for item in found.free), found.theta.tolist(), strict=True))
             diagram = replace(self.diagram, free=(*self.diagram.free, *more))
             found = self._wider(_estimated(diagram, self.channels, self.timed, near))
-        return Estimated(found.free, found.theta, np.where(found.at_bound, np.inf, found.std), found.misfit)
+        return Estimated(found.free, found.theta, found.std, found.at_bound, found.misfit)
 
     @cached_property
     def widened(self) -> TimeEstimate:

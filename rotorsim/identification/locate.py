@@ -92,9 +92,10 @@ def locate(
         refined: list[str] = []
         for _ in range(MESHED):
             meshed, further = on_fine_meshes(best.diagram, best)
+            refined = further or refined
             if meshed is best:
                 break
-            diagram, refined = _with_meshes(diagram, meshed.diagram), further
+            diagram = _with_meshes(diagram, meshed.diagram)
             tried, failed = _tried(diagram, block, count, opened, every)
             best = min(tried.values(), key=_misfit)
         contradicted = contradictions_of(best.diagram, best, settings_of(recording.select("identify")))

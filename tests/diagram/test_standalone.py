@@ -235,6 +235,12 @@ def test_a_diagram_that_was_loaded_with_settings_loads_from_its_document(tmp_pat
     same(diagram, load(diagram.document, folder=tmp_path), {name: name for name in diagram.nodes})
 
 
+def test_settings_of_a_document_that_are_none_are_refused() -> None:
+    document = {"blocks": {"one": {"type": "constant"}}, "set": 3}
+    with pytest.raises(RotorsimError, match="unknown key 'set'"):
+        load(document)
+
+
 def test_wires_to_what_is_inside_are_those_of_the_blocks(tmp_path: Path) -> None:
     """A run-up wires unbalances inside of sub-diagrams to the acceleration of the clock."""
     data = read_document(shipped_diagrams()["jeffcott_runup"]).data

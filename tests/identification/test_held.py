@@ -33,6 +33,13 @@ def test_damping_that_the_diagram_holds_at_zero_is_named_with_what_it_moves():
     )
 
 
+@pytest.mark.slow
+def test_damping_that_is_held_where_there_is_none_is_named_too():
+    held = changed("fe_rigid", lambda document: document["blocks"]["rotor"]["parameters"].update(disc_damping=[20.0]))
+    [problem] = [one for one in of(0.0, held).warnings if one.subject == "rotor.disc_damping[1]"]
+    assert problem.what.startswith("is held at 20 N s/m, but the recording says ")
+
+
 def test_freed_as_it_says_the_parameters_come_back():
     freed = changed("fe_rigid", lambda document: document["identify"].update({"rotor.disc_damping[1]": {}}))
     found = of(4.0, freed)
@@ -66,12 +73,14 @@ class Fit:
 
     def freed(self, more=()):
         if not more:
-            return Estimated(self.given, np.array([2.5e5, 3.14, 0.0]), np.array([10.0, 0.01, 0.0]), 100.0 + self.fall)
+            theta, std, at_bound = np.array([2.5e5, 3.14, 0.0]), np.array([10.0, 0.01, 0.3]), np.arange(3) == 2
+            return Estimated(self.given, theta, std, at_bound, 100.0 + self.fall)
         if self.failure:
             raise RotorsimError(Problem(self.failure, "fe_rigid"))
         theta = [2.5e5 - 25.0, -3.14, 1.0, *[self.damping] * len(more)]
-        std = np.array([12.0, 0.01, 1.0, *[1.0 if self.damping else np.inf] * len(more)])
-        return Estimated([*self.given, *more], np.array(theta), std, 100.0)
+        at_bound = np.array([False, False, False, *[not self.damping] * len(more)])
+        std = np.array([12.0, 0.01, 1.0, *[1.0 if self.damping else 0.0] * len(more)])
+        return Estimated([*self.given, *more], np.array(theta), std, at_bound, 100.0)
 
 
 def test_the_level_is_one_in_ten_thousand():
@@ -79,7 +88,7 @@ def test_the_level_is_one_in_ten_thousand():
     assert contradictions_of(load("fe_rigid"), Fit(3.8905)) == []
     [problem] = contradictions_of(load("fe_rigid"), Fit(3.8907))
     assert problem.what == (
-        "is held at 0 N s/m, but the recording says 3.8907 N s/m with a standard deviation of 1 N s/m"
+        "is held at 0 N s/m, but the recording says 3.89 N s/m with a standard deviation of 1 N s/m"
     )
     assert problem.hint == (
         'free it: "identify": {"rotor.disc_damping[1]": {}, ...}; that moves crack_stiffness by 2.5 standard deviations'

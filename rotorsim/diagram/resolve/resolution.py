@@ -83,7 +83,7 @@ def resolve(
     unfinished: takes what is only missing yet (wires, sizes), which is an error without it; these inputs read zero.
     Raises RotorsimError with every mistake found; warnings are in ``diagram.warnings``.
     """
-    if isinstance(source, Mapping) and SET in source:  # of a diagram that was loaded with settings
+    if isinstance(source, Mapping) and isinstance(source.get(SET), Mapping):  # of a diagram loaded with settings
         set = {**source[SET], **(set or {})}
         source = {key: value for key, value in source.items() if key != SET}
     if entries := entries_set(set):
