@@ -21,6 +21,7 @@ from rotorsim.identification.result import Identification
 from rotorsim.identification.verdict import Verdict
 from rotorsim.model.load import load
 from rotorsim.simulation.stable_step import with_stable_step
+from rotorsim.units import parse_quantity
 
 DIAGRAM = "diagram.json"
 IDENTIFICATION_FILE = "identification.json"
@@ -155,7 +156,8 @@ def as_written(diagram: Diagram, values: list[tuple[Free, float]]) -> tuple[dict
     solver = document.get("solver", {})
     if solver == alone.document.get("solver", {}):
         return document, tuple(alone.notes)
-    how = f"the step {solver['step']}" if solver.get("method", "rk4") == "rk4" else f"the method {solver['method']}"
+    step = f"{parse_quantity(solver['step'], 's'):.4g} s"
+    how = f"the step {step}" if solver.get("method", "rk4") == "rk4" else f"the method {solver['method']}"
     what = f"what is written has {how}: its modes are too fast for the step of the diagram as given"
     return document, (*alone.notes, Problem(what, diagram.name, severity="warning"))
 

@@ -13,7 +13,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.linear.stability import growing, largest_stable_step
 from rotorsim.model.compiled import model_for_runs
 
-MOST_PARTS = 30  # of a step: beyond, radau takes less time, by beams of four to an element (fe_rigid)
+MOST_PARTS = 100  # of a step: beyond, radau takes less time (python -m benchmarks.engine.stiff)
 
 
 def with_stable_step(document: Mapping[str, Any], diagram: Diagram) -> dict[str, Any]:
