@@ -99,7 +99,7 @@ def test_a_run_in_pieces_is_the_same_to_the_last_bit() -> None:
     whole, parts = instance(), instance()
     rows, other = np.empty((1000, whole.n_y)), np.empty((1000, whole.n_y))
     whole.run(0, 1000, 0.0, H, 1, rows)
-    at = [0, 1, 127, 128, 300, 301, 777, 1000]
+    at = [0, 1, 255, 256, 300, 301, 777, 1000]
     for begun, end in pairwise(at):
         saved = parts.save()
         parts.run(begun, end + 5, 0.0, H, 1, np.empty((1000, whole.n_y)))
@@ -120,9 +120,9 @@ def test_after_another_start_nothing_is_left_of_a_run() -> None:
 
 
 def test_what_decides() -> None:
-    """A block of 128 steps rotates 256 times; a step that grows by 1e-17 rad in it is the same."""
+    """A block of 256 steps rotates 512 times; a step that grows by 1e-17 rad in it is the same."""
     source = emit_c(compile_diagram(load("jeffcott")).kernel(()))
-    assert "#define RS_BLOCK 128 " in source
+    assert "#define RS_BLOCK 256 " in source
     assert "#define RS_STILL 1e-17 " in source
     assert "#define RS_FEW 8 " in source
     assert "#define RS_LARGEST 1e290 " in source

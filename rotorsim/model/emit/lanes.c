@@ -192,7 +192,6 @@ static void rs_reduce(rs_reduction *r, const rs_lanes *row) {
     }
     if (n + 1 >= r->end[r->segment]) ++r->segment;
   }
-  memcpy(r->latest, row, RS_NY * sizeof(rs_lanes));
   if (n < r->first || n >= r->last) return;
   if (r->history) memcpy(r->history + (n - r->first) * RS_NY, row, RS_NY * sizeof(rs_lanes));
   if (r->n_orders >= 0) {
@@ -213,11 +212,15 @@ static void rs_reduce(rs_reduction *r, const rs_lanes *row) {
   if (r->n_points) rs_passed(r, n, row);
 }
 
+/* Keep the row that was taken last. */
+static void rs_latest(rs_reduction *r, const rs_lanes *row) { memcpy(r->latest, row, RS_NY * sizeof(rs_lanes)); }
+
 /* Take the row at the end of a run, which stands at step n with steps h, and what only the end decides. */
 RS_EXPORT void rs_end(const rs_lanes *p, rs_lanes *m, int64_t with_row, rs_reduction *r) {
   if (with_row) {
     rs_outputs(m + RS_AT_X, m + RS_AT_Z, p, m + RS_AT_C, m + RS_AT_G, m + RS_AT_ROW, m + RS_AT_WORK);
     rs_reduce(r, m + RS_AT_ROW);
+    rs_latest(r, m + RS_AT_ROW);
   }
   if (r->n_points) rs_passed(r, r->row, 0);
 }
@@ -242,7 +245,9 @@ RS_EXPORT int64_t rs_run(const rs_lanes *p, const double *each, rs_lanes *m, int
 #else
   rs_lanes *x = m + RS_AT_X;
 #endif
-  rs_lanes *z = m + RS_AT_Z, *c = m + RS_AT_C, *work = m + RS_AT_WORK, *k = m + RS_AT_K, *row = m + RS_AT_ROW;
+  rs_lanes *z = m + RS_AT_Z, *c = m + RS_AT_C, *work = m + RS_AT_WORK, *k = m + RS_AT_K;
+  rs_lanes *const row = m + RS_AT_ROW, unused[RS_NY + 1]; /* what is taken, and what is not */
+  const int64_t taken = r->row;
   rs_lanes *g0 = m + RS_AT_G, *gm = g0 + RS_NG, *g1 = gm + RS_NG;
   const rs_lanes h = *step;
 #if RS_NS == 0
@@ -268,7 +273,8 @@ RS_EXPORT int64_t rs_run(const rs_lanes *p, const double *each, rs_lanes *m, int
       if (stop > end - 1e-9 * h[0]) stop = end;
       rs_forcing(rs_all(t + 0.5 * (stop - t)), p, c, gm, work);
       rs_forcing(rs_all(stop), p, c, g1, work);
-      rs_step(rs_all(stop - t), x, z, p, c, g0, gm, g1, rs_step_of(rs_all(stop - t), p, m), row, k, work);
+      rs_step(rs_all(stop - t), x, z, p, c, g0, gm, g1, rs_step_of(rs_all(stop - t), p, m),
+              first && wanted ? row : unused, k, work);
       if (first && wanted) rs_reduce(r, row);
       rs_lanes *swap = g0;
       g0 = g1, g1 = swap;
@@ -296,7 +302,7 @@ RS_EXPORT int64_t rs_run(const rs_lanes *p, const double *each, rs_lanes *m, int
     rs_forcing(middle, p, c, gm, work);
     rs_forcing(end, p, c, g1, work);
 #endif
-    rs_step(h, x, z, p, c, g0, gm, g1, d, row, k, work);
+    rs_step(h, x, z, p, c, g0, gm, g1, d, wanted ? row : unused, k, work);
     if (wanted) rs_reduce(r, row);
     rs_lanes *swap = g0;
     g0 = g1, g1 = swap;
@@ -316,6 +322,7 @@ RS_EXPORT int64_t rs_run(const rs_lanes *p, const double *each, rs_lanes *m, int
       }
     }
   }
+  if (r->row > taken) rs_latest(r, row);
 #if RS_UNROLLED && RS_NX > 0
   memcpy(m + RS_AT_X, x, sizeof x);
 #endif

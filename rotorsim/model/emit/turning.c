@@ -3,7 +3,7 @@
  * In m at RS_AT_TURN: the step at which the vectors are, the start and the length of the steps that they hold for, the
  * step at which they are set anew, and how: by rotation by the same or by a growing step, or not at all; then for every
  * angle its cosine and sine, and those of its step in half a step of the run, and of what that grows by. */
-#define RS_BLOCK 128 /* steps: a vector that is rotated 256 times is off by 3e-14, or 1e-13 where its step grows */
+#define RS_BLOCK 256 /* steps: a vector that is rotated 512 times is off by 6e-14, or 4e-13 where its step grows */
 #define RS_FEW 8 /* steps: setting the vectors costs about as much as the cosines and sines of these */
 #define RS_STILL 1e-17 /* rad in a block: what a step grows by that is the same; a hundredth of what vectors are exact to */
 enum { RS_TURN_AT, RS_TURN_T0, RS_TURN_H, RS_TURN_END, RS_TURN_KIND, RS_TURN_VECTORS };
@@ -94,13 +94,18 @@ static void rs_turn_set(double *turn, const double *p, double t0, double h, int6
   int kind = RS_SAME_STEP;
   for (int k = 0; k < RS_NA; ++k) {
     const rs_dd first = rs_sub(angle[1][k], angle[0][k]), second = rs_sub(rs_sub(angle[2][k], angle[1][k]), first);
-    const rs_dd grow = rs_div(second, rs_long(m * m)); /* second difference of half steps */
-    const rs_dd step = rs_sub(rs_div(first, rs_long(m)), rs_mul(grow, rs_long(0.5 * (m - 1.0))));
     double *v = turn + RS_TURN_VECTORS + 6 * k;
-    rs_vector(angle[0][k], v), rs_vector(step, v + 2), rs_vector(grow, v + 4);
+    rs_dd step = rs_div(first, rs_long(m));
+    v[4] = 1.0, v[5] = 0.0;
+    if (!(fabs(second.hi) <= RS_STILL)) { /* or no number */
+      const rs_dd grow = rs_div(second, rs_long(m * m)); /* second difference of half steps */
+      step = rs_sub(step, rs_mul(grow, rs_long(0.5 * (m - 1.0))));
+      rs_vector(grow, v + 4);
+      kind = RS_GROWING_STEP;
+    }
+    rs_vector(angle[0][k], v), rs_vector(step, v + 2);
     for (int i = 0; i < 6; ++i)
       if (v[i] != v[i]) return; /* an angle that is no number, as the library then finds, too */
-    if (fabs(second.hi) > RS_STILL) kind = RS_GROWING_STEP;
   }
   turn[RS_TURN_KIND] = kind;
 }
