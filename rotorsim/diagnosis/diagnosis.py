@@ -24,7 +24,7 @@ from rotorsim.diagnosis.search.work import Work
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.jobs import Jobs, local_workers
-from rotorsim.jobs.threads import one_thread
+from rotorsim.jobs.threads import one_thread, threads
 from rotorsim.measure.checks import check_signals
 from rotorsim.model.heard import listener, said
 from rotorsim.model.load import load_standalone
@@ -63,7 +63,7 @@ def diagnose(
     hold_out = None if hold_out is None else renamed(hold_out, alone.named)
     warnings = [*alone.notes, *_checked(recording), *([] if hold_out is None else _checked(hold_out))]
     warnings += parts_without_role(diagram)
-    with local_workers(how, __name__) as kept:
+    with local_workers(how, __name__) as kept, threads(kept.processes):  # the other processes wait while this one works
         return _diagnosed(diagram, recording, hold_out, physics, kept, warnings)
 
 

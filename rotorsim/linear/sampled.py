@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import matrix_balance
 
+from rotorsim.jobs.threads import compiled
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
 
 TERMS = 18  # of the series of phi_3 at a norm of 1: the next is 1/21! = 2e-20
@@ -208,7 +209,8 @@ def response(
     reads, by = CD[0], np.moveaxis(CD[1:], 0, 2).swapaxes(0, 1)
     if (run := _response(n, U, c, m, K) if use_compiler else None) is not None:
         given = [np.ascontiguousarray(a, float) for a in (columns, slopes, reads, by, u)]
-        done = run(N, *(a.ctypes.data for a in (*given, x, S, y, dy)))
+        with compiled():
+            done = run(N, *(a.ctypes.data for a in (*given, x, S, y, dy)))
         y[done:], dy[done:] = np.nan, np.nan
         return y, dy
     for k in range(N):

@@ -7,7 +7,7 @@ carriage of EMPS, with parameters beyond all sizes. Here a positive parameter ch
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -20,6 +20,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.evaluation import Evaluation, Label, weighted_blocks
+from rotorsim.jobs.threads import side_by_side
 from rotorsim.model.heard import BARRED, gives_up
 
 MOST_SIMULATIONS = 60  # what data determine takes up to 25
@@ -187,6 +188,7 @@ class OutputErrorSearch:
         eq, run = self.systems[k].equations, self.runs[r]
         return not self.stepped and run.steps is None and run.is_piecewise_linear(eq.inputs) and eq.linear is not None
 
+    @np.errstate(over="ignore", invalid="ignore")  # NumPy 1 has it of a thread of its own
     def simulated(
         self, unknowns: np.ndarray, k: int, r: int, sub: int, sensitivities: bool = True
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -208,13 +210,24 @@ class OutputErrorSearch:
         steps = run.dt if run.steps is None else run.steps
         return system.simulate(p, own[eq.m :], v, steps, t0=run.start, sensitivities=sensitivities)
 
+    def _simulations(
+        self, unknowns: np.ndarray, sub: int, sensitivities: bool
+    ) -> Iterable[tuple[np.ndarray, np.ndarray]]:
+        """Return what `simulated` gives of all subsystems and runs; side by side where nothing fails on the way."""
+
+        def of(pair: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+            return self.simulated(unknowns, *pair, sub, sensitivities)
+
+        if any(system.equations.calls for system in self.systems):
+            return map(of, self.pairs)
+        return side_by_side(of, self.pairs)
+
     @np.errstate(over="ignore", invalid="ignore")
     def evaluate(self, unknowns: np.ndarray, sub: int, sensitivities: bool = True) -> Evaluation:
         """Return residuals and Jacobians at a point; the cost is infinite where a run diverges."""
         residuals: list[list[np.ndarray]] = [[] for _ in self.systems]
         jacobians: list[list[np.ndarray]] = [[] for _ in self.systems]
-        for k, r in self.pairs:
-            y, dy = self.simulated(unknowns, k, r, sub, sensitivities)
+        for (k, r), (y, dy) in zip(self.pairs, self._simulations(unknowns, sub, sensitivities), strict=True):
             known = np.isfinite(self.measured[k][r])
             residuals[k].append(self.runs[r].beside_lines(self.measured[k][r] - y, known))
             jacobians[k].append(self.runs[r].beside_lines(np.negative(dy, out=dy), known))

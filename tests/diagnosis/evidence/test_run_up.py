@@ -9,7 +9,11 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.diagnosis.evidence.base_fit import with_uncertain
+from rotorsim.diagnosis.evidence.waveform.first_order import ALIKE, Sensitivities
 from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
+from rotorsim.identification.waveform.evaluation import Evaluation
+from rotorsim.identification.waveform.search import OutputErrorSearch
+from rotorsim.jobs.threads import threads
 from rotorsim.model.load import load
 from tests.identification.run_up import RATE, Machine, Ring, runs_of
 
@@ -46,6 +50,65 @@ def test_first_order_sensitivities_promise_what_a_linear_law_then_explains():
     assert here > 20 * found.misfit
     assert promised == pytest.approx(found.misfit, rel=0.5)
     assert found.values["residual_bow.amplitude"] == pytest.approx(1.6e-6, rel=0.02)
+
+
+@pytest.fixture(scope="module")
+def laws():
+    """Evidence of a rotor with a bow, its diagram as fitted, and what puts laws into it with their starts."""
+    diagram = load("jeffcott")
+    evidence = waveform_evidence(diagram, runs_of(Machine(bow=1.6e-6), 6, 1.5))
+    base = evidence.fit(with_uncertain(diagram), [])
+    document, jobs = values_in(base.document, base.values), {}
+    for physics, values in (
+        ("residual_bow", {"amplitude": 1e-5, "phase": 2.0}),
+        ("anisotropic_support", {"stiffness_difference": 1e3}),
+    ):
+        item, *_ = Catalogue.of(diagram, [physics]).candidates(diagram, evidence.recorded)
+        start = dict(zip(item.free, values.values(), strict=True))
+        jobs[physics] = item.document(document, values), [[start]]
+    return evidence, document, jobs
+
+
+def test_laws_share_the_sensitivities_of_the_diagram_without_them(laws, monkeypatch):
+    """They promise the same as alone; the second is simulated with sensitivities once, at its best start."""
+    evidence, _, jobs = laws
+    alone = [replace(evidence).promise(*jobs[law]) for law in jobs]
+    counts, evaluate = [], OutputErrorSearch.evaluate
+
+    def counted(self, unknowns, sub, sensitivities=True):
+        counts[-1] += sensitivities
+        return evaluate(self, unknowns, sub, sensitivities)
+
+    monkeypatch.setattr(OutputErrorSearch, "evaluate", counted)
+    together = []
+    shared = replace(evidence)
+    for law in jobs:
+        counts.append(0)
+        together.append(shared.promise(*jobs[law]))
+    assert counts == [2, 1]
+    assert together == pytest.approx(alone, rel=1e-6)
+
+
+def test_sensitivities_of_another_diagram_are_not_taken(laws):
+    evidence, _, jobs = laws
+    search = evidence.search(jobs["residual_bow"][0])
+    known = Sensitivities(search, Evaluation(search.first(), 1, 1000.0), np.arange(3))
+    assert ALIKE == 1e-3
+    assert known.hold_for(search, 1000.9)
+    assert not known.hold_for(search, 1001.1)
+    assert not known.hold_for(replace(search, runs=search.runs[:1]), 1000.0)
+
+
+def test_runs_are_simulated_side_by_side_to_the_last_bit(laws):
+    evidence, document, _ = laws
+    search = evidence.search(document)
+    one = search.evaluate(search.first(), 1)
+    with threads(2):
+        two = search.evaluate(search.first(), 1)
+    assert two.cost == one.cost
+    np.testing.assert_array_equal(two.information, one.information)
+    for first, second in zip(one.jacobians[0], two.jacobians[0], strict=True):
+        np.testing.assert_array_equal(second, first)
 
 
 def test_a_bow_is_found_with_its_size_and_angle():

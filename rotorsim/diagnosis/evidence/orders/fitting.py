@@ -58,7 +58,7 @@ def _points(
     """Return the points from which a law is followed: the best of its own starts, and beside the diagram as given."""
     own = [start for start in starts if not old & start.keys()]
     beside = [start for start in starts if old & start.keys()]
-    points = [one.point for one in FirstOrder(search, first, own, old).ranked[:FOLLOWED]] if own else []
+    points = FirstOrder(search, first, own, old).points(FOLLOWED) if own else []
     best = points[0] if points else first
     points += [search.stated(best, {k: v for k, v in start.items() if k in old}) for start in beside[:1]]
     return [*{point.tobytes(): point for point in points}.values()]

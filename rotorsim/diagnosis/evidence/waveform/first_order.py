@@ -12,7 +12,7 @@ that size promise c - g^T H^-1 g: exact where a law is linear in what it adds, w
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -22,6 +22,9 @@ from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.starting import WORSE
 
 FIRST_ORDER_STARTS = 9  # starts of a law, evenly among those that are declared
+# relative difference of the misfits of diagrams whose sensitivities are those of one another: modes that are left out
+# differ with the law (1e-6 on a beam); the size of a start needs no more than two digits
+ALIKE = 1e-3
 SMALLER, REDUCTIONS = 1e-2, 12  # factor by which an effect is made smaller until the simulation stands it
 ABSENT = 1e-9  # relative difference of the misfits of diagrams without an effect, whatever its other parameters are
 SIGNIFICANT = 1e-9  # of d^T d: what is left of it beside J, of which anything can be told
@@ -29,20 +32,44 @@ SIGNIFICANT = 1e-9  # of d^T d: what is left of it beside J, of which anything c
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A point from which a law may be followed, and how much of the misfit its shape takes up there."""
+    """A point from which a law may be followed, and how much of the misfit its shape takes up there.
+
+    sized: with the size that takes up most, which the simulation may not stand.
+    """
 
     point: np.ndarray
     gain: float
+    sized: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Sensitivities of a diagram in which an effect is absent, by all else; free (k,): these of the unknowns."""
+
+    search: OutputErrorSearch
+    evaluation: Evaluation
+    free: np.ndarray
+
+    def hold_for(self, search: OutputErrorSearch, cost: float) -> bool:
+        """Return whether they are those of a diagram with another law, of which that is the misfit without the law."""
+        outputs = [system.signals for system in search.systems]
+        same = [*map(id, self.search.runs)] == [*map(id, search.runs)]
+        same = same and outputs == [system.signals for system in self.search.systems]
+        return same and abs(self.evaluation.cost - cost) <= ALIKE * cost
 
 
 @dataclass(frozen=True, eq=False)
 class FirstOrder:
-    """A law beside parts of runs. first (q,): unknowns as the diagram states them; old: parameters of no effect."""
+    """A law beside parts of runs. first (q,): unknowns as the diagram states them; old: parameters of no effect.
+
+    known: the last sensitivities of a diagram from which a law is absent, for the next.
+    """
 
     search: OutputErrorSearch
     first: np.ndarray
     starts: Sequence[Mapping[str, float]]
     old: Collection[str]
+    known: list[Sensitivities] = field(default_factory=list)
 
     @cached_property
     def ranked(self) -> list[Start]:
@@ -56,10 +83,21 @@ class FirstOrder:
     @property
     def promise(self) -> float:
         """The misfit that the sensitivities at the best start promise, infinite without a start."""
-        if not self.ranked:
-            return np.inf
-        point = self.ranked[0].point
-        return promised(self.search.evaluate(point, self.search.substeps(point)))
+        return promised(self._at(self.ranked[0])) if self.ranked else np.inf
+
+    def points(self, most: int) -> list[np.ndarray]:
+        """Return the points of so many starts, those that take up most first."""
+        best = self.ranked[:most]
+        return [one.point if one.sized is None else self._at(one, sensitivities=False).unknowns for one in best]
+
+    def _at(self, start: Start, sensitivities: bool = True) -> Evaluation:
+        """Return a start of the size that takes up most, or as it is where that costs far more than no effect."""
+        for point in (start.sized, start.point):
+            if point is not None:
+                here = self.search.evaluate(point, self.search.substeps(point), sensitivities)
+                if point is start.sized and here.cost <= WORSE * self._vanishing[1].cost:
+                    break
+        return here
 
     @cached_property
     def _named(self) -> list[int]:
@@ -67,49 +105,60 @@ class FirstOrder:
         named = {name for start in self.starts for name in start}
         return [j for j, item in enumerate(self.search.free) if item.name in named and item.name not in self.old]
 
-    @cached_property
+    @property
     def _sizes(self) -> list[int]:
         """Those with which the effect vanishes: as few as leave what all at zero leave; none if it never does."""
-        if not self.starts:
-            return []
-        stated = self.search.stated(self.first, self.starts[0])
-        low, high = self.search.bounds
-        found = [j for j in self._named if stated[j] != 0 and low[j] <= 0 <= high[j]]
-        absent = self._cost(self._times(stated, found, 0.0)) if found else np.inf
-        if not np.isfinite(absent):
-            return []
-        for j in found:
-            less = [k for k in found if k != j]
-            if less and abs(self._cost(self._times(stated, less, 0.0)) - absent) <= ABSENT * absent:
-                found = less
-        return found
+        return self._vanishing[0]
 
     @cached_property
-    def _absent(self) -> Evaluation:
-        point = self._times(self.search.stated(self.first, self.starts[0]), self._sizes, 0.0)
-        return self.search.evaluate(point, self.search.substeps(point))
+    def _vanishing(self) -> tuple[list[int], Evaluation]:
+        """`_sizes`, and the motion with these at zero."""
+        stated = self.search.stated(self.first, self.starts[0] if self.starts else {})
+        low, high = self.search.bounds
+        found = [j for j in self._named if stated[j] != 0 and low[j] <= 0 <= high[j]]
+        absent = self._simulated(self._times(stated, found, 0.0)) if found else Evaluation(stated, 1)
+        if not np.isfinite(absent.cost):
+            return [], absent
+        for j in found:
+            less = [k for k in found if k != j]
+            if less and abs(self._simulated(self._times(stated, less, 0.0)).cost - absent.cost) <= ABSENT * absent.cost:
+                found = less
+        return found, absent
+
+    @cached_property
+    def _beside(self) -> Sensitivities:
+        """What is changed by all but the effect, where it is absent."""
+        sizes, absent = self._vanishing
+        for one in self.known:
+            if one.hold_for(self.search, absent.cost):
+                return one
+        free = np.setdiff1d(np.arange(len(self.first)), self._named)
+        point = self._times(self.search.stated(self.first, self.starts[0]), sizes, 0.0)
+        self.known[:] = [Sensitivities(self.search, self.search.evaluate(point, self.search.substeps(point)), free)]
+        return self.known[0]
 
     def _times(self, point: np.ndarray, which: Sequence[int], factor: float) -> np.ndarray:
         point = point.copy()
         point[which] *= factor
         return np.asarray(np.clip(point, *self.search.bounds))
 
-    def _cost(self, point: np.ndarray) -> float:
-        return self.search.evaluate(point, self.search.substeps(point), sensitivities=False).cost
+    def _simulated(self, point: np.ndarray) -> Evaluation:
+        return self.search.evaluate(point, self.search.substeps(point), sensitivities=False)
 
     def _as_stated(self, point: np.ndarray) -> Start | None:
-        cost = self._cost(point)
+        cost = self._simulated(point).cost
         return Start(point, -cost) if np.isfinite(cost) else None
 
     def _scaled(self, stated: np.ndarray) -> Start | None:
         """Return a start with the size that takes up most beside all that is free; None where it diverges."""
-        without = self._absent
-        if not np.isfinite(without.cost):
+        without, beside = self._vanishing[1], self._beside
+        known, free = beside.evaluation, beside.free
+        if not np.isfinite(known.cost):
             return None
         factor = 1.0
         for _ in range(REDUCTIONS):
             point = self._times(stated, self._sizes, factor)
-            here = self.search.evaluate(point, self.search.substeps(point), sensitivities=False)
+            here = self._simulated(point)
             if np.isfinite(here.cost) and here.cost <= WORSE * without.cost:
                 break
             # the change grows with the size: from how much there is, or blindly where there is too much
@@ -117,7 +166,7 @@ class FirstOrder:
             factor *= max(np.sqrt(max(excess, 0.0)), SMALLER)
         else:
             return None
-        square, inner, cross = 0.0, 0.0, np.zeros(len(stated))
+        square, inner, cross = 0.0, 0.0, np.zeros(len(known.unknowns))
         for k in range(len(self.search.systems)):
             for r in range(len(self.search.runs)):
                 weight = self.search.root(k, r) ** 2
@@ -125,11 +174,10 @@ class FirstOrder:
                 d = np.nan_to_num(here.residuals[k][r]) - before
                 square += float(np.vdot(weight * d, d))
                 inner += float(np.vdot(weight * d, before))
-                J = without.jacobians[k][r]
-                own = self.search.columns(k, r)[: J.shape[2]]
+                J = known.jacobians[k][r]
+                own = beside.search.columns(k, r)[: J.shape[2]]
                 cross[own] += np.tensordot(J, weight * d, axes=([0, 1], [0, 1]))
-        free = np.setdiff1d(np.arange(len(stated)), self._named)
-        both = solved(without.information[np.ix_(free, free)], np.stack([cross[free], without.gradient[free]], 1))
+        both = solved(known.information[np.ix_(free, free)], np.stack([cross[free], known.gradient[free]], 1))
         curvature = square - float(cross[free] @ both[:, 0])
         slope = inner - float(cross[free] @ both[:, 1])
         if curvature <= SIGNIFICANT * square:
@@ -137,7 +185,7 @@ class FirstOrder:
         best = self._times(stated, self._sizes, -factor * slope / curvature)
         if not best[self._sizes].any():  # it would have to be of the other sign
             return Start(point, 0.0)
-        return Start(best if self._cost(best) <= WORSE * without.cost else point, slope**2 / curvature)
+        return Start(point, slope**2 / curvature, best)
 
 
 def promised(here: Evaluation) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from operator import attrgetter
 from typing import Any, Self
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import LONGEST, SAMPLED
 from rotorsim.diagnosis.evidence.fit import FAILURES, Effort, Fit, Starts, failed_fit
-from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder
+from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder, Sensitivities
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.data import SampledRun
@@ -237,12 +237,18 @@ class WaveformFits(SampledRuns):
             return np.inf
         return min((evaluation.cost for evaluation in tried), default=np.inf)
 
+    @cached_property
+    def _sensitivities(self) -> list[Sensitivities]:
+        """The last of a diagram from which a law is absent, for the laws that follow."""
+        return []
+
     def _first_order(
         self, short: OutputErrorSearch, first: np.ndarray, starts: Sequence[Mapping[str, float]]
     ) -> tuple[FirstOrder, list[Mapping[str, float]]]:
         """Return what the starts of an effect promise by first-order sensitivities, and those of the diagram, too."""
         own = [start for start in starts if not self.old & start.keys()]
-        return FirstOrder(short, first, own, self.old), [start for start in starts if self.old & start.keys()]
+        others = [start for start in starts if self.old & start.keys()]
+        return FirstOrder(short, first, own, self.old, self._sensitivities), others
 
     def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
         """Return the weighted residual of a diagram as it is, starts of runs at their best; None where it diverges."""
@@ -264,7 +270,7 @@ class WaveformFits(SampledRuns):
         """
         if self.parts:
             promised, others = self._first_order(short, first, group)
-            points = [start.point for start in promised.ranked[:FOLLOWED]]
+            points = promised.points(FOLLOWED)
             if points:
                 points += [
                     short.stated(points[0], {k: v for k, v in start.items() if k in self.old}) for start in others[:1]

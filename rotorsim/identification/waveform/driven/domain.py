@@ -24,6 +24,8 @@ def continued(arguments: Sequence[Any], expressions: Sequence[Any], least: Any) 
     arguments: the symbols of the expressions. least: a symbol; at minus infinity they are as given.
     """
     function = ca.Function("given", [*arguments], [*expressions])
+    if not any(function.instruction_id(k) in (*_LIMITED, *_POWERS) for k in range(function.n_instructions())):
+        return None
     known: dict[int, Any] = {}
     found = [ca.SX(one) for one in expressions]
     limited = False

@@ -127,6 +127,11 @@ class DrivenEquations:
         return len(self.slots)
 
     @cached_property
+    def calls(self) -> bool:
+        """Whether they call functions without an expression (`rotorsim.model.called`)."""
+        return bool(ca.Function("f", [*self.arguments], [self.f, self.g]).get_function())
+
+    @cached_property
     def measured_states(self) -> Mapping[int, tuple[str, float]]:
         """State -> output and factor, where an output is a constant times one state and nothing else."""
         x, measured = self.arguments[1], {}
@@ -244,7 +249,7 @@ def driven_equations(
                 driven[model.parameters[parameter].start + k] = v[inputs.index(name)]
     y = ca.vertcat(*[measured_expression(model, name) for name in outputs])
     xdot, y = ca.substitute([trace.xdot, y], [trace.v], [external])
-    kept = reached_states(jacobian(xdot, trace.x).sparsity(), jacobian(y, trace.x).sparsity())
+    kept = reached_states(pattern(xdot, trace.x), pattern(y, trace.x))
     keep = kept.tolist()
     begins = {keep.index(k): value for k, value in _beginnings(model).items() if k in keep}
     x = ca.SX.sym("x", len(keep))
@@ -256,7 +261,8 @@ def driven_equations(
     begun = dict(zip(begins, values, strict=True))
     known = tuple(item for item in free if slots_of(model, item))
     slots = [slots_of(model, item) for item in known] + [[model.n_p + k] for k in range(coefficients.numel())]
-    names = tuple(linear.state_names(model)[k] for k in keep)
+    every = linear.state_names(model)
+    names = tuple(every[k] for k in keep)
     arguments, p0 = (trace.t, x, v, ca.vertcat(trace.p, coefficients)), model.parameter_vector()
     p0 = np.concatenate([p0, np.zeros(coefficients.numel())])
     least = ca.SX.sym("least")

@@ -29,6 +29,7 @@ import numpy as np
 from rotorsim.identification.waveform.driven.equations import DrivenEquations
 from rotorsim.identification.waveform.driven.source import source_of
 from rotorsim.identification.waveform.driven.split import Level, Split
+from rotorsim.jobs.threads import compiled
 from rotorsim.linear.sampled import MOST_DOUBLINGS, phi_functions
 from rotorsim.model.called import connect, forget_failures, raise_failure
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
@@ -269,7 +270,8 @@ class ExponentialSteps:
         given = [np.ascontiguousarray(a, float) for a in (v, p, tables, weights)]
         arrays = [array.ctypes.data for array in (*given, state, y, dy, memory)]
         forget_failures()
-        done = run(int(K > 0), N, sub, block, len(tables), t0, dt, *arrays)
+        with compiled():
+            done = run(int(K > 0), N, sub, block, len(tables), t0, dt, *arrays)
         raise_failure()
         y[done:], dy[done:] = np.nan, np.nan
         return y, dy
@@ -288,20 +290,21 @@ class ExponentialSteps:
             middle = [np.array([(a + b) / 2]) for a, b in ranges]
             found = list(middle)
             for k, (a, b) in enumerate(ranges):
+                at = [*middle[:k], a + (b - a) * np.array(TRIED_SPEEDS), *middle[k + 1 :]]
+                exact = self._tables(at, p, h, 0)
                 for count in range(1 if a == b else 2, MOST_POINTS + 1):
                     found[k] = _chebyshev(a, b, count)
-                    alone = [*middle[:k], found[k], *middle[k + 1 :]]
-                    if self._error(alone, a + (b - a) * np.array(TRIED_SPEEDS), k, p, h) < INTERPOLATED:
+                    if self._error([*middle[:k], found[k], *middle[k + 1 :]], at, exact, p, h) < INTERPOLATED:
                         break
                 else:
                     return None
             self._points[key] = found
         return self._points[key]
 
-    def _error(self, points: list[np.ndarray], tried: np.ndarray, k: int, p: np.ndarray, h: float) -> float:
-        """Return the relative error of interpolated matrices where one of speed and acceleration has other values."""
-        at = [*points[:k], tried, *points[k + 1 :]]
-        exact = self._tables(at, p, h, 0)
+    def _error(
+        self, points: list[np.ndarray], at: list[np.ndarray], exact: np.ndarray, p: np.ndarray, h: float
+    ) -> float:
+        """Return the relative error of interpolated matrices at other speeds, where they are known exactly."""
         near = _weights(points, np.array([*product(*at)])) @ self._tables(points, p, h, 0)
         ends = np.cumsum([rows * cols for rows, cols in self._shapes.values()])[:-1]
         pairs = zip(np.split(exact, ends, axis=1), np.split(near, ends, axis=1), strict=True)

@@ -20,6 +20,7 @@ from rotorsim.identification.waveform.driven.equations import DrivenEquations
 from rotorsim.identification.waveform.driven.exponential import ExponentialSteps
 from rotorsim.identification.waveform.driven.source import source_of
 from rotorsim.identification.waveform.driven.split import Split
+from rotorsim.jobs.threads import compiled
 from rotorsim.linear.sampled import LARGE, Tangent, first_order_hold, response
 from rotorsim.model.called import connect, forget_failures, raise_failure
 from rotorsim.model.emit.toolchain import CompilerError, compile_c, find_compiler
@@ -206,7 +207,8 @@ class Simulation:
         memory = np.zeros(size + (1 + len(RK4.b)) * len(state))
         arrays = [array.ctypes.data for array in (times, steps, v, p, state, y, dy, memory)]
         forget_failures()
-        done = run(int(sensitivities), N, v.shape[1] // 2, *arrays)
+        with compiled():
+            done = run(int(sensitivities), N, v.shape[1] // 2, *arrays)
         raise_failure()
         y[done:], dy[done:] = np.nan, np.nan
         return y, dy

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import qr, schur
 
-from rotorsim.model.linearity import jacobian
+from rotorsim.model.linearity import jacobian, pattern
 from rotorsim.model.matrix_function import MatrixFunction
 
 
@@ -90,13 +90,9 @@ def structure_of(
 
 def _pairs(f: Any, x: Any) -> list[tuple[int, int]]:
     """Return pairs of states of which the second is the rate of the first, and has a rate that is no state."""
-    slopes = ca.sparsify(jacobian(f, x))
-    found = []
-    for k in range(x.numel()):
-        row = slopes[k, :]
-        if row.nnz() == 1:
-            [j] = row.sparsity().get_triplet()[1]
-            if (f[k] - x[j]).is_zero():
-                found.append((k, j))
+    rows, columns = pattern(f, x).get_triplet()
+    counts = np.bincount(rows, minlength=x.numel())
+    alone = sorted((k, j) for k, j in zip(rows, columns, strict=True) if counts[k] == 1)
+    found = [(k, j) for k, j in alone if (f[k] - x[j]).is_zero()]
     integrated = {k for k, _ in found}
     return [(k, j) for k, j in found if j not in integrated]
