@@ -2,19 +2,29 @@
 
 import threading
 import time
+from contextvars import ContextVar
 
-import numpy as np
 import pytest
 
-from rotorsim.jobs.threads import compiled, side_by_side, threads
+from rotorsim.jobs.jobs import Jobs, run_jobs
+from rotorsim.jobs.threads import compiled, own_cores, side_by_side, threads
 
 
-def test_without_threads_it_is_map_one_after_another():
+@pytest.mark.parametrize("count", [1, 2])
+def test_whoever_asks_for_no_more_leaves_out_the_rest(count):
+    """As where a run diverges: the others need not be simulated."""
     begun = []
-    found = side_by_side(lambda k: begun.append(k) or k * k, [1, 2, 3])
-    assert begun == []  # whoever stops at a failure leaves out the rest
-    assert next(iter(found)) == 1
-    assert begun == [1]
+
+    def task(k):
+        begun.append(k)
+        time.sleep(0.01)
+        return k * k
+
+    with threads(count):
+        found = iter(side_by_side(task, range(100)))
+        assert next(found) == 0
+        found = None
+    assert len(begun) < 10
 
 
 def test_compiled_code_runs_side_by_side_and_nothing_else():
@@ -45,16 +55,27 @@ def test_what_fails_is_raised_and_leaves_no_lock_behind():
 
     with threads(2):
         with pytest.raises(ValueError, match="of the second"):
-            side_by_side(task, range(3))
+            list(side_by_side(task, range(3)))
         assert list(side_by_side(lambda k: k, range(3))) == [0, 1, 2]
 
 
 def test_what_holds_where_they_are_begun_holds_in_them():
-    """NumPy's handling of errors, which is of a context."""
-    with threads(2), np.errstate(over="raise"):
-        assert list(side_by_side(lambda _: np.geterr()["over"], range(2))) == ["raise", "raise"]
+    """Who listens to mishaps is of a context, and hears those of all threads."""
+    said = ContextVar("said", default="nothing")
+    said.set("here")
+    with threads(2):
+        assert list(side_by_side(lambda _: said.get(), range(2))) == ["here", "here"]
 
 
 def test_a_task_that_asks_for_threads_gets_none():
     with threads(2):
         assert list(side_by_side(lambda k: list(side_by_side(lambda j: j + k, range(2))), range(2))) == [[0, 1], [1, 2]]
+
+
+def cores(_):
+    return own_cores()
+
+
+def test_a_worker_has_one_core_as_others_are_beside_it():
+    assert run_jobs(cores, [0, 1], jobs=Jobs(workers=2)) == [1, 1]
+    assert own_cores() >= 1

@@ -63,7 +63,7 @@ def diagnose(
     hold_out = None if hold_out is None else renamed(hold_out, alone.named)
     warnings = [*alone.notes, *_checked(recording), *([] if hold_out is None else _checked(hold_out))]
     warnings += parts_without_role(diagram)
-    with local_workers(how, __name__) as kept, threads(kept.processes):  # the other processes wait while this one works
+    with local_workers(how, __name__) as kept, threads(kept.pool.size if kept.pool else 1):  # which waits meanwhile
         return _diagnosed(diagram, recording, hold_out, physics, kept, warnings)
 
 

@@ -30,7 +30,7 @@ from rotorsim.identification.waveform.order_tracking import (
     vectors_of,
 )
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS
-from rotorsim.jobs.threads import one_thread
+from rotorsim.jobs.threads import one_thread, own_cores, threads
 from rotorsim.recordings.orders import OrderRecording, OrderRun
 from rotorsim.signals.orders.rows import slowness
 
@@ -103,7 +103,7 @@ def identify_orders(
     wanted, sha256 = diagram.free if free is None else tuple(free), diagram.sha256
     _refuse(diagram, recording, method, given, wanted)
     diagram = replace(diagram, free=wanted)
-    with one_thread():
+    with one_thread(), threads(own_cores()):
         fitted, refined = on_fine_meshes(diagram, _fitted(diagram, recording, wanted))
         contradicted = contradictions_of(fitted.diagram, fitted, settings_of(recording.select("identify")))
         diagram, search, estimate, variance = fitted.diagram, fitted.search, fitted.estimate, fitted.variance

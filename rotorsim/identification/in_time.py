@@ -40,7 +40,7 @@ from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, No
 from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
-from rotorsim.jobs.threads import one_thread
+from rotorsim.jobs.threads import one_thread, own_cores, threads
 from rotorsim.recordings.recording import Recording, Run
 
 TURNING = ("missing_channel", "no_phase_reference")  # codes of findings that matter only of a shaft that turns
@@ -110,7 +110,7 @@ def identify_in_time(
     held_out = read_runs(diagram, held, channels)
     channels = marked(channels, sampled)
     diagram = replace(diagram, free=wanted)
-    with one_thread():
+    with one_thread(), threads(own_cores()):
         timed = on_time(diagram, channels, sampled, late)
         estimate = _estimated(diagram, channels, timed, timed.noise.near)
         fitted = _Fitted(diagram, channels, as_turned if turns else None, timed, estimate)

@@ -7,8 +7,6 @@ Results go to a store as they finish; an interrupted run resumes from it. Local 
 from __future__ import annotations
 
 import math
-import multiprocessing
-import os
 import re
 import reprlib
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -22,6 +20,7 @@ from rotorsim.jobs.cluster import run_on_cluster
 from rotorsim.jobs.processes import Pool
 from rotorsim.jobs.store import Outcome, open_store
 from rotorsim.jobs.tasks import Function, Job, outcome
+from rotorsim.jobs.threads import in_worker, own_cores
 
 LISTED_FAILURES = 5  # failures in an error
 
@@ -154,11 +153,9 @@ def _finished(
 
 def _processes(jobs: Jobs) -> int:
     """Return how many processes of this machine jobs get: 1 means this one."""
-    process = multiprocessing.current_process()
-    if process.daemon and not getattr(process, "_inheriting", False):  # inheriting: it only reads the script
-        return 1  # a worker cannot have workers of its own: jobs within a job
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return 1 if jobs.scheduler else jobs.workers or available
+    if jobs.scheduler or in_worker():  # which cannot have workers of its own: jobs within a job
+        return 1
+    return jobs.workers or own_cores()
 
 
 @contextmanager

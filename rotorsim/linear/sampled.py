@@ -209,8 +209,9 @@ def response(
     reads, by = CD[0], np.moveaxis(CD[1:], 0, 2).swapaxes(0, 1)
     if (run := _response(n, U, c, m, K) if use_compiler else None) is not None:
         given = [np.ascontiguousarray(a, float) for a in (columns, slopes, reads, by, u)]
+        addresses = [a.ctypes.data for a in (*given, x, S, y, dy)]
         with compiled():
-            done = run(N, *(a.ctypes.data for a in (*given, x, S, y, dy)))
+            done = run(N, *addresses)
         y[done:], dy[done:] = np.nan, np.nan
         return y, dy
     for k in range(N):

@@ -13,7 +13,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.linear.stability import growing, largest_stable_step
 from rotorsim.model.compiled import model_for_runs
 
-MOST_PARTS = 100  # of a step: beyond, radau takes less time (python -m benchmarks.engine.stiff)
+MOST_PARTS = 100  # of a step: about there radau takes as long (python -m benchmarks.engine.stiff)
 
 
 def with_stable_step(document: Mapping[str, Any], diagram: Diagram) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def with_stable_step(document: Mapping[str, Any], diagram: Diagram) -> dict[str,
 def stable_steps(diagram: Diagram) -> dict[str, Any]:
     """Return the solver's ``step`` [s] and ``record_every`` with which RK4 is stable about the start of a run.
 
-    Where that takes MOST_PARTS times as many steps, the ``method`` radau, which is stable with any.
+    Where that takes more than MOST_PARTS times as many steps, the ``method`` radau, which is stable with any.
 
     h / n with the least whole n for which |R(lambda h / n)| <= 1 for all poles lambda, and n times as many steps from
     record to record. Empty where the diagram's own step h is stable, where no smaller one is (a pole grows), and where

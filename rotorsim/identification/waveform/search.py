@@ -20,7 +20,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.evaluation import Evaluation, Label, weighted_blocks
-from rotorsim.jobs.threads import side_by_side
+from rotorsim.jobs.threads import several_threads, side_by_side
 from rotorsim.model.heard import BARRED, gives_up
 
 MOST_SIMULATIONS = 60  # what data determine takes up to 25
@@ -188,7 +188,6 @@ class OutputErrorSearch:
         eq, run = self.systems[k].equations, self.runs[r]
         return not self.stepped and run.steps is None and run.is_piecewise_linear(eq.inputs) and eq.linear is not None
 
-    @np.errstate(over="ignore", invalid="ignore")  # NumPy 1 has it of a thread of its own
     def simulated(
         self, unknowns: np.ndarray, k: int, r: int, sub: int, sensitivities: bool = True
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -213,14 +212,15 @@ class OutputErrorSearch:
     def _simulations(
         self, unknowns: np.ndarray, sub: int, sensitivities: bool
     ) -> Iterable[tuple[np.ndarray, np.ndarray]]:
-        """Return what `simulated` gives of all subsystems and runs; side by side where nothing fails on the way."""
+        """Return what `simulated` gives of all subsystems and runs; one by one where failures of calls are kept."""
 
+        @np.errstate(over="ignore", invalid="ignore")  # in NumPy 1 each thread has its own
         def of(pair: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
             return self.simulated(unknowns, *pair, sub, sensitivities)
 
-        if any(system.equations.calls for system in self.systems):
-            return map(of, self.pairs)
-        return side_by_side(of, self.pairs)
+        if several_threads() and not any(system.equations.calls for system in self.systems):
+            return side_by_side(of, self.pairs)
+        return map(of, self.pairs)
 
     @np.errstate(over="ignore", invalid="ignore")
     def evaluate(self, unknowns: np.ndarray, sub: int, sensitivities: bool = True) -> Evaluation:

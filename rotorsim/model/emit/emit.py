@@ -22,7 +22,7 @@ from rotorsim.model.emit.affine import collapse_linear
 from rotorsim.model.emit.angle_recurrence import share_harmonics
 from rotorsim.model.emit.numbers import DOUBLES, LANES, Numbers
 from rotorsim.model.emit.program import Pass, Program
-from rotorsim.model.emit.turning import Angle, emit_angles, turning_angles
+from rotorsim.model.emit.turning import ANGLE_NUMBERS, Angle, emit_angles, turning_angles
 from rotorsim.model.emit.writer import Writer, array_leaf, call_table, called_functions
 from rotorsim.model.runge_kutta import RK4
 from rotorsim.model.trace.diagram import Trace
@@ -141,6 +141,7 @@ def emit_c(kernel: Kernel, calling: tuple[Sequence[str], str] | None = None, lan
         "RS_NC": len(kernel.constants),
         "RS_NG": len(kernel.forcing),
         "RS_NA": len(kernel.angles),
+        "RS_ANGLE": ANGLE_NUMBERS,
         "RS_ND": len(step.constants) if step else 0,
         "RS_STAGES": len(RK4.b),
         "RS_WORK": max(size for _, size in parts),
@@ -180,8 +181,8 @@ def _turning(
     """Return the text of the angles, and of the forcing where their cosines and sines are known."""
     if not kernel.angles:
         return "", 0
-    turned = {one.cosine: f"a[{6 * k}]" for k, one in enumerate(kernel.angles)}
-    turned |= {one.sine: f"a[{6 * k + 1}]" for k, one in enumerate(kernel.angles)}
+    turned = {one.cosine: f"a[{ANGLE_NUMBERS * k}]" for k, one in enumerate(kernel.angles)}
+    turned |= {one.sine: f"a[{ANGLE_NUMBERS * k + 1}]" for k, one in enumerate(kernel.angles)}
     known = {node: text for node, text in turned.items() if node >= 0} | dict(constants)
     text, size = written(
         "rs_forcing_turned", known, f"{at_time}, const {of} *restrict a", "t, p, c, a", "g", kernel.forcing

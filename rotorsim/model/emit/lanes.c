@@ -96,18 +96,15 @@ RS_EXPORT void rs_start(const rs_lanes *p, const double *each, rs_lanes *m) {
 #if RS_NA > 0
 /* Set the vectors of all lanes at step n, for the steps of each. */
 static void rs_turn_set_all(rs_lanes *turn, const double *each, rs_lanes h, int64_t n) {
-  double one[RS_TURN_VECTORS + 6 * RS_NA] = {0};
+  double one[RS_TURN_VECTORS + RS_ANGLE * RS_NA] = {0};
   for (int k = 0; k < RS_LANES; ++k) {
     rs_turn_set(one, each + k * RS_NP, 0.0, h[k], n);
     turn[RS_TURN_END][k] = one[RS_TURN_END], turn[RS_TURN_KIND][k] = one[RS_TURN_KIND];
-    for (int i = 0; i < 6 * RS_NA; ++i) turn[RS_TURN_VECTORS + i][k] = one[RS_TURN_VECTORS + i];
+    for (int i = 0; i < RS_ANGLE * RS_NA; ++i) turn[RS_TURN_VECTORS + i][k] = one[RS_TURN_VECTORS + i];
   }
 }
 
-static inline void rs_rotate_all(rs_lanes *v, const rs_lanes *by) {
-  const rs_lanes c = v[0] * by[0] - v[1] * by[1];
-  v[1] = v[1] * by[0] + v[0] * by[1], v[0] = c;
-}
+RS_ROTATIONS(rs_lanes, _all)
 
 /* How the vectors of the lanes turn: how many evenly, how many with a growing step. */
 typedef struct {
@@ -118,15 +115,9 @@ typedef struct {
 static inline void rs_forcing_next(rs_lanes *turn, rs_turns how, rs_lanes t, const rs_lanes *p, const rs_lanes *c,
                                    rs_lanes *g, rs_lanes *work) {
   rs_lanes *v = turn + RS_TURN_VECTORS;
-  for (int k = 0; k < RS_NA; ++k) rs_rotate_all(v + 6 * k, v + 6 * k + 2);
-  if (how.growing) {
-    const rs_mask growing = turn[RS_TURN_KIND] == rs_all((double)RS_GROWING_STEP);
-    for (int k = 0; k < RS_NA; ++k) {
-      const rs_lanes cosine = v[6 * k + 2], sine = v[6 * k + 3];
-      rs_rotate_all(v + 6 * k + 2, v + 6 * k + 4);
-      v[6 * k + 2] = rs_either(growing, v[6 * k + 2], cosine), v[6 * k + 3] = rs_either(growing, v[6 * k + 3], sine);
-    }
-  }
+  for (int k = 0; k < RS_NA; ++k) rs_rotate_all(v + RS_ANGLE * k, v + RS_ANGLE * k + 2);
+  if (how.growing) /* by nothing, where they do not */
+    for (int k = 0; k < RS_NA; ++k) rs_grow_all(v + RS_ANGLE * k + 2, v + RS_ANGLE * k + 4, v + RS_ANGLE * k + 6);
   rs_forcing_turned(t, p, c, v, g, work);
   if (how.even == RS_LANES) return;
   const rs_mask even = turn[RS_TURN_KIND] != rs_all((double)RS_NOT_EVEN);
@@ -254,7 +245,7 @@ RS_EXPORT int64_t rs_run(const rs_lanes *p, const double *each, rs_lanes *m, int
   const rs_lanes *d = rs_step_of(h, p, m);
 #endif
 #if RS_NA > 0
-  rs_lanes turn[RS_TURN_VECTORS + 6 * RS_NA];
+  rs_lanes turn[RS_TURN_VECTORS + RS_ANGLE * RS_NA];
   memcpy(turn, m + RS_AT_TURN, sizeof turn);
   rs_turns how = {0, 0};
   int fresh = 1;

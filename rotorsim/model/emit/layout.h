@@ -12,7 +12,7 @@
 #define RS_AT_WORK (RS_AT_ROW + RS_NY)
 #define RS_AT_D (RS_AT_WORK + RS_WORK) /* the length of the step, and what follows from it */
 #define RS_AT_TURN (RS_AT_D + 1 + RS_ND)
-#define RS_SIZE (RS_AT_TURN + (RS_NA ? 5 + 6 * RS_NA : 0) + 1)
+#define RS_SIZE (RS_AT_TURN + (RS_NA ? 5 + RS_ANGLE * RS_NA : 0) + 1)
 
 #if defined(RS_STATIC) /* an FMU shows its FMI functions alone */
 #define RS_EXPORT static

@@ -144,7 +144,7 @@ RS_EXPORT int64_t rs_run(const double *p, double *m, int64_t n0, int64_t n1, dou
 #endif
   int64_t n = n0, until_row = (every - n0 % every) % every;
 #if RS_NA > 0
-  double turn[RS_TURN_VECTORS + 6 * RS_NA];
+  double turn[RS_TURN_VECTORS + RS_ANGLE * RS_NA];
   memcpy(turn, m + RS_AT_TURN, sizeof turn);
   if (turn[RS_TURN_AT] != (double)n0 || turn[RS_TURN_T0] != t0 || turn[RS_TURN_H] != h) {
     const int other = turn[RS_TURN_H] == turn[RS_TURN_H] && n1 - n0 < RS_FEW; /* steps from one instant to the next */

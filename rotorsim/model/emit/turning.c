@@ -2,8 +2,9 @@
  *
  * In m at RS_AT_TURN: the step at which the vectors are, the start and the length of the steps that they hold for, the
  * step at which they are set anew, and how: by rotation by the same or by a growing step, or not at all; then for every
- * angle its cosine and sine, and those of its step in half a step of the run, and of what that grows by. */
-#define RS_BLOCK 256 /* steps: a vector that is rotated 512 times is off by 6e-14, or 4e-13 where its step grows */
+ * angle RS_ANGLE numbers: cosine and sine of itself, of its step in half a step of the run, of what that grows by, and
+ * what is left of the step. */
+#define RS_BLOCK 256 /* steps: a vector that is rotated 512 times is off by 6e-14 */
 #define RS_FEW 8 /* steps: setting the vectors costs about as much as the cosines and sines of these */
 #define RS_STILL 1e-17 /* rad in a block: what a step grows by that is the same; a hundredth of what vectors are exact to */
 enum { RS_TURN_AT, RS_TURN_T0, RS_TURN_H, RS_TURN_END, RS_TURN_KIND, RS_TURN_VECTORS };
@@ -66,16 +67,29 @@ static void rs_vector(rs_dd a, double *v) {
   v[0] = c - r.lo * s, v[1] = s + r.lo * c;
 }
 
-static void rs_rotate(double *v, const double *by) {
-  const double c = v[0] * by[0] - v[1] * by[1];
-  v[1] = v[1] * by[0] + v[0] * by[1], v[0] = c;
-}
+/* Rotate a vector; let the step of an angle grow, the digits that its vector has no room for carried on: rounding of
+ * steps adds up in the angle. Of what it grows by the first is the cosine less one: beside 1 it has no digits left. */
+#define RS_ROTATIONS(type, name)                                                                          \
+  static inline void rs_rotate##name(type *v, const type *by) {                                           \
+    const type c = v[0] * by[0] - v[1] * by[1];                                                           \
+    v[1] = v[1] * by[0] + v[0] * by[1], v[0] = c;                                                         \
+  }                                                                                                       \
+  static inline void rs_grow##name(type *step, const type *by, type *rest) {                              \
+    const type more[2] = {(step[0] * by[0] - step[1] * by[1]) + rest[0],                                  \
+                          (step[1] * by[0] + step[0] * by[1]) + rest[1]};                                 \
+    for (int i = 0; i < 2; ++i) {                                                                         \
+      const type sum = step[i] + more[i], added = sum - step[i];                                          \
+      rest[i] = (step[i] - (sum - added)) + (more[i] - added), step[i] = sum;                             \
+    }                                                                                                     \
+  }
+RS_ROTATIONS(double, )
 
 /* Half a step on. */
 static void rs_turn_on(double *turn) {
-  for (int k = 0; k < RS_NA; ++k) rs_rotate(turn + RS_TURN_VECTORS + 6 * k, turn + RS_TURN_VECTORS + 6 * k + 2);
+  double *v = turn + RS_TURN_VECTORS;
+  for (int k = 0; k < RS_NA; ++k) rs_rotate(v + RS_ANGLE * k, v + RS_ANGLE * k + 2);
   if (turn[RS_TURN_KIND] == RS_GROWING_STEP)
-    for (int k = 0; k < RS_NA; ++k) rs_rotate(turn + RS_TURN_VECTORS + 6 * k + 2, turn + RS_TURN_VECTORS + 6 * k + 4);
+    for (int k = 0; k < RS_NA; ++k) rs_grow(v + RS_ANGLE * k + 2, v + RS_ANGLE * k + 4, v + RS_ANGLE * k + 6);
 }
 
 /* Set the vectors at step n, until the next whole block: a parabola through both ends and the middle of it, where all
@@ -94,13 +108,14 @@ static void rs_turn_set(double *turn, const double *p, double t0, double h, int6
   int kind = RS_SAME_STEP;
   for (int k = 0; k < RS_NA; ++k) {
     const rs_dd first = rs_sub(angle[1][k], angle[0][k]), second = rs_sub(rs_sub(angle[2][k], angle[1][k]), first);
-    double *v = turn + RS_TURN_VECTORS + 6 * k;
+    double *v = turn + RS_TURN_VECTORS + RS_ANGLE * k;
     rs_dd step = rs_div(first, rs_long(m));
-    v[4] = 1.0, v[5] = 0.0;
+    v[4] = v[5] = v[6] = v[7] = 0.0;
     if (!(fabs(second.hi) <= RS_STILL)) { /* or no number */
       const rs_dd grow = rs_div(second, rs_long(m * m)); /* second difference of half steps */
       step = rs_sub(step, rs_mul(grow, rs_long(0.5 * (m - 1.0))));
       rs_vector(grow, v + 4);
+      v[4] = -2.0 * sin(0.5 * grow.hi) * sin(0.5 * grow.hi);
       kind = RS_GROWING_STEP;
     }
     rs_vector(angle[0][k], v), rs_vector(step, v + 2);

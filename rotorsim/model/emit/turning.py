@@ -22,6 +22,7 @@ from rotorsim.model.emit.numbers import literal
 from rotorsim.model.emit.program import Program
 
 MOST_ANGLES = 8
+ANGLE_NUMBERS = 8  # that turning.c keeps of each
 _SUMS = {ir.ADD: "add", ir.SUB: "sub"}
 _CASES = {ca.OP_FMIN: "min", ca.OP_FMAX: "max", ca.OP_LT: "less", ca.OP_LE: "less_equal"}
 _SAME = {ir.NEG: "rs_sub(rs_zero, {0})", ir.TWICE: "rs_add({0}, {0})"}

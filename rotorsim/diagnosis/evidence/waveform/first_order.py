@@ -44,16 +44,20 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    """Sensitivities of a diagram in which an effect is absent, by all else; free (k,): these of the unknowns."""
+    """Sensitivities of a diagram in which an effect is absent, by all else; free (k,): these of the unknowns.
+
+    others: the free parameters that are not the effect's, with their values.
+    """
 
     search: OutputErrorSearch
     evaluation: Evaluation
     free: np.ndarray
+    others: Mapping[str, float]
 
-    def hold_for(self, search: OutputErrorSearch, cost: float) -> bool:
-        """Return whether they are those of a diagram with another law, of which that is the misfit without the law."""
+    def hold_for(self, search: OutputErrorSearch, cost: float, others: Mapping[str, float]) -> bool:
+        """Return whether they do for another law: beside the same runs, signals and parameters, and that misfit."""
         outputs = [system.signals for system in search.systems]
-        same = [*map(id, self.search.runs)] == [*map(id, search.runs)]
+        same = [*map(id, self.search.runs)] == [*map(id, search.runs)] and self.others == others
         same = same and outputs == [system.signals for system in self.search.systems]
         return same and abs(self.evaluation.cost - cost) <= ALIKE * cost
 
@@ -112,7 +116,7 @@ class FirstOrder:
 
     @cached_property
     def _vanishing(self) -> tuple[list[int], Evaluation]:
-        """`_sizes`, and the motion with these at zero."""
+        """`_sizes`, and the motion without the effect."""
         stated = self.search.stated(self.first, self.starts[0] if self.starts else {})
         low, high = self.search.bounds
         found = [j for j in self._named if stated[j] != 0 and low[j] <= 0 <= high[j]]
@@ -129,12 +133,15 @@ class FirstOrder:
     def _beside(self) -> Sensitivities:
         """What is changed by all but the effect, where it is absent."""
         sizes, absent = self._vanishing
+        named = [(j, item.name) for j, item in enumerate(self.search.free) if j not in self._named]
+        others = {name: float(self.first[j]) for j, name in named}
         for one in self.known:
-            if one.hold_for(self.search, absent.cost):
+            if one.hold_for(self.search, absent.cost, others):
                 return one
         free = np.setdiff1d(np.arange(len(self.first)), self._named)
         point = self._times(self.search.stated(self.first, self.starts[0]), sizes, 0.0)
-        self.known[:] = [Sensitivities(self.search, self.search.evaluate(point, self.search.substeps(point)), free)]
+        evaluation = self.search.evaluate(point, self.search.substeps(point))
+        self.known[:] = [Sensitivities(self.search, evaluation, free, others)]
         return self.known[0]
 
     def _times(self, point: np.ndarray, which: Sequence[int], factor: float) -> np.ndarray:

@@ -242,6 +242,10 @@ class WaveformFits(SampledRuns):
         """The last of a diagram from which a law is absent, for the laws that follow."""
         return []
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process gets: equations cannot be sent."""
+        return {key: value for key, value in vars(self).items() if key != "_sensitivities"}
+
     def _first_order(
         self, short: OutputErrorSearch, first: np.ndarray, starts: Sequence[Mapping[str, float]]
     ) -> tuple[FirstOrder, list[Mapping[str, float]]]:
