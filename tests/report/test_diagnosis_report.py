@@ -8,9 +8,11 @@ import re
 import tempfile
 from contextlib import nullcontext
 from dataclasses import replace
+from datetime import UTC, datetime
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import matplotlib.image
@@ -26,6 +28,7 @@ from rotorsim.errors import RotorsimError
 from rotorsim.jobs.jobs import Jobs, local_workers
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
+from rotorsim.report import provenance
 from rotorsim.report.amplitudes import amplitudes
 from rotorsim.report.comparison import speed_curves
 from rotorsim.report.comparison.harmonics import Comparison
@@ -443,7 +446,9 @@ def test_a_diagnosis_is_drawn_over_speed():
 
 
 @pytest.mark.slow
-def test_figures_drawn_by_other_processes_are_the_same(tmp_path: Path) -> None:
+def test_figures_drawn_by_other_processes_are_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = datetime.now(UTC)
+    monkeypatch.setattr(provenance, "datetime", SimpleNamespace(now=lambda _: now))  # a minute may pass between them
     with local_workers(Jobs(2)) as jobs, amplitudes("peak-peak"):
         several = save_report(bowed(), tmp_path / "several", command="", jobs=jobs)
         one = save_report(bowed(), tmp_path / "one", command="")

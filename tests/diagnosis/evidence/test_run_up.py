@@ -11,7 +11,7 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.diagnosis.evidence.base_fit import with_uncertain
-from rotorsim.diagnosis.evidence.waveform.first_order import ALIKE, Sensitivities
+from rotorsim.diagnosis.evidence.waveform.first_order import SHARED, Sensitivities
 from rotorsim.diagnosis.evidence.waveform.open import waveform_evidence
 from rotorsim.identification.waveform.driven import exponential
 from rotorsim.identification.waveform.driven.equations import DrivenEquations
@@ -99,7 +99,7 @@ def test_sensitivities_of_another_diagram_are_not_taken(laws):
     search = evidence.search(jobs["residual_bow"][0])
     others = {"crack_stiffness": 1e5}
     known = Sensitivities(search, Evaluation(search.first(), 1, 1000.0), np.arange(3), others)
-    assert ALIKE == 1e-3
+    assert SHARED == 1e-3
     assert known.hold_for(search, 1000.9, others)
     assert not known.hold_for(search, 1001.1, others)
     assert not known.hold_for(replace(search, runs=search.runs[:1]), 1000.0, others)

@@ -24,7 +24,7 @@ from rotorsim.identification.waveform.starting import WORSE
 FIRST_ORDER_STARTS = 9  # starts of a law, evenly among those that are declared
 # relative difference of the misfits of diagrams whose sensitivities are those of one another: modes that are left out
 # differ with the law (1e-6 on a beam); the size of a start needs no more than two digits
-ALIKE = 1e-3
+SHARED = 1e-3
 SMALLER, REDUCTIONS = 1e-2, 12  # factor by which an effect is made smaller until the simulation stands it
 ABSENT = 1e-9  # relative difference of the misfits of diagrams without an effect, whatever its other parameters are
 SIGNIFICANT = 1e-9  # of d^T d: what is left of it beside J, of which anything can be told
@@ -59,7 +59,7 @@ class Sensitivities:
         outputs = [system.signals for system in search.systems]
         same = [*map(id, self.search.runs)] == [*map(id, search.runs)] and self.others == others
         same = same and outputs == [system.signals for system in self.search.systems]
-        return same and abs(self.evaluation.cost - cost) <= ALIKE * cost
+        return same and abs(self.evaluation.cost - cost) <= SHARED * cost
 
 
 @dataclass(frozen=True, eq=False)
