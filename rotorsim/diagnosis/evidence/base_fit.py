@@ -17,6 +17,7 @@ from rotorsim.diagram.resolve.free import uncertain
 from rotorsim.diagram.resolve.settings import Settings
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.meshes import on_fine_meshes
+from rotorsim.model.load import load
 
 
 def with_uncertain(diagram: Diagram) -> dict[str, Any]:
@@ -34,6 +35,12 @@ def with_uncertain(diagram: Diagram) -> dict[str, Any]:
         elif "[" in item.name:
             document["parameters"][item.base] = diagram.parameters[item.base].tolist()
     return document
+
+
+def first_free(diagram: Diagram) -> frozenset[str]:
+    """Return the names of the parameters that a diagram frees itself, or by a tolerance: they are no effect's."""
+    known = load(with_uncertain(diagram), folder=diagram.folder, trust_blocks=diagram.trusted)
+    return frozenset(item.name for item in known.free)
 
 
 def _write_out(document: dict[str, Any], block: str, key: str, values: np.ndarray) -> None:

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from rotorsim.diagnosis.evidence.base_fit import base_fit
+from rotorsim.diagnosis.evidence.base_fit import base_fit, first_free
 from rotorsim.model.load import load
 
 
@@ -40,3 +40,10 @@ def test_a_finer_mesh_that_cannot_be_fitted_is_said():
     found, notes = base_fit(load("fe_rigid"), Meshes(17.1, failure="diverges"))
     assert "subdivisions" not in found.document["blocks"]["rotor"]["parameters"]
     assert notes == ["rotor: subdivisions 2 cannot be compared (diverges)"]
+
+
+def test_what_is_free_by_its_tolerance_is_no_effect():
+    """FAULT: fits of run-ups took the damping of a disc, where a start named it, for a parameter of the law."""
+    own = {item.name for item in load("fe_rigid").free}
+    assert first_free(load("fe_rigid")) == own | {"rotor.disc_damping[1]"}
+    assert first_free(load("jeffcott")) == {item.name for item in load("jeffcott").free}

@@ -10,7 +10,7 @@ import numpy as np
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.insertion import LONGEST, RATE, SAMPLED
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.base_fit import base_fit, with_uncertain
+from rotorsim.diagnosis.evidence.base_fit import base_fit, first_free
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagnosis.evidence.orders.evidence import OrderEvidence, doubts_of
@@ -62,17 +62,16 @@ def _evidence(
     some = tuple((one, own) for one, own in held if own)
     for one, own in some:
         tracked_orders(diagram, one, own, diagram.free)  # what is wrong with them is said before any work
-    evidence = OrderEvidence(
+    return OrderEvidence(
         recording=recording,
         runs=runs,
         folder=diagram.folder,
         trust_blocks=trust_blocks,
         recorded=tuple(dict.fromkeys(channel.name for channel in recording.channels.values())),
         noise=white_noise(tracked),
-        old=frozenset(),
+        old=first_free(diagram),
         held=some,
     )
-    return replace(evidence, old=frozenset(item.name for item in evidence.load(with_uncertain(diagram)).free))
 
 
 def _in_order(recording: OrderRecording, hold_out: OrderRecording) -> OrderRecording:

@@ -22,8 +22,8 @@ from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.starting import WORSE
 
 FIRST_ORDER_STARTS = 9  # starts of a law, evenly among those that are declared
-# relative difference of the misfits of diagrams whose sensitivities are those of one another: modes that are left out
-# differ with the law (1e-6 on a beam); the size of a start needs no more than two digits
+# relative difference of the misfits of diagrams whose sensitivities are those of one another: which modes are left out
+# differs a little with the law; the size of a start needs no more than two digits
 SHARED = 1e-3
 SMALLER, REDUCTIONS = 1e-2, 12  # factor by which an effect is made smaller until the simulation stands it
 ABSENT = 1e-9  # relative difference of the misfits of diagrams without an effect, whatever its other parameters are

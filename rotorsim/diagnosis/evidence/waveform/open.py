@@ -8,7 +8,7 @@ from dataclasses import replace
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.values import values_in
-from rotorsim.diagnosis.evidence.base_fit import base_fit, with_uncertain
+from rotorsim.diagnosis.evidence.base_fit import base_fit, first_free
 from rotorsim.diagnosis.evidence.fit import Fit, is_adequate, is_astray
 from rotorsim.diagnosis.evidence.opened import Opened
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
@@ -98,7 +98,7 @@ def waveform_evidence(
     held_out = tuple(turned_later(run, diagram, timed.shift) for run in read_runs(diagram, held, channels))
     held_out = with_mains_hum(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
     parts, part_starts = parts_of(diagram, channels, runs, noise) if turns else ((), {})
-    evidence = (TurningEvidence if turns else WaveformEvidence)(
+    return (TurningEvidence if turns else WaveformEvidence)(
         channels=channels,
         folder=diagram.folder,
         trust_blocks=trust_blocks,
@@ -113,11 +113,10 @@ def waveform_evidence(
         least=noise.least,
         starts=noise.starts,
         sizes=noise.sizes,
-        old=frozenset(),
+        old=first_free(diagram),
         held=held_out,
         parts=parts,
         part_starts=part_starts,
         near=noise.near,
         stated={item.name: item.value for item in diagram.free},
     )
-    return replace(evidence, old=frozenset(item.name for item in evidence.load(with_uncertain(diagram)).free))
