@@ -64,7 +64,7 @@ class Criteria:
     # times what is stated, and a tenth: where the diagram as given stays if it went astray. In decades half as far
     near_stated: float = 10.0
     # times the misfit astray, that may be left there: a few per cent more for want of a law, far more than twice if
-    # what is stated is wrong (tests/diagnosis/evidence/test_astray.py)
+    # what is stated is wrong (tests/diagnosis/evidence/waveform/test_astray.py)
     near_misfit: float = 2.0
     # physics that explain the data alike, beyond which nothing is named: a longer list is no name
     most_equivalent: int = 4

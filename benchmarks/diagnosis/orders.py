@@ -19,7 +19,7 @@ from rotorsim.diagnosis.diagnosis import diagnose
 from rotorsim.model.load import load
 from rotorsim.recordings.orders import load_orders
 from tests.diagnosis.orders import drawn, run_up
-from tests.identification.orders import ROTOR
+from tests.identification.waveform.orders import ROTOR
 
 MEMORY = 0.8
 HIDDEN = {

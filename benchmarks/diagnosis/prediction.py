@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.data import channels_of
 from rotorsim.identification.waveform.noise import variance_scale
-from rotorsim.identification.waveform.reading import read_runs
+from rotorsim.identification.waveform.recorded.data import channels_of
+from rotorsim.identification.waveform.recorded.reading import read_runs
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.model.load import load

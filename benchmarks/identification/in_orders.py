@@ -19,7 +19,7 @@ from rotorsim.identification.identification import identify
 from rotorsim.identification.in_orders import OrderIdentification
 from rotorsim.model.load import load
 from rotorsim.recordings.orders import load_orders
-from tests.identification.orders import ROTOR, SLOW_ROLL, TRUTH, passage, write
+from tests.identification.waveform.orders import ROTOR, SLOW_ROLL, TRUTH, passage, write
 
 NOISE = 1e-7  # m, standard deviation of real and imaginary part, at amplitudes of 1e-5 to 1e-4
 SLOW = 0.8  # correlation of slow noise from turn to turn

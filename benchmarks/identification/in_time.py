@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorsim.identification.identification import identify
 from rotorsim.model.load import load
-from tests.identification.in_time import OSCILLATOR, RATE, TRUTH, even, measured, recording
+from tests.identification.waveform.in_time import OSCILLATOR, RATE, TRUTH, even, measured, recording
 
 CASES = ((4000, 1), (1500, 3), (1000, 1), (400, 1))  # samples of a run, runs
 NOISE = 0.02  # of the position's standard deviation

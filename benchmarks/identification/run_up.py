@@ -12,7 +12,7 @@ import numpy as np
 
 from rotorsim.identification.identification import identify
 from rotorsim.model.load import load
-from tests.identification.run_up import drawn, runs_of
+from tests.identification.waveform.run_up import drawn, runs_of
 
 ANGLES = np.radians(0.5)  # that angles are to come back within, and shares of the value of others
 SHARES = {"force_displacement_factor": 0.03}

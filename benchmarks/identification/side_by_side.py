@@ -20,7 +20,7 @@ from rotorsim.identification.identification import identify
 from rotorsim.identification.waveform import noise_model as fits
 from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.load import load
-from tests.identification.run_up import drawn, runs_of
+from tests.identification.waveform.run_up import drawn, runs_of
 
 SPEEDS = np.linspace(100.0, 200.0, 9)  # rad/s
 RUN: dict[str, Any] = {"stop": 5.0, "step": 1e-5, "record_every": 10}  # of a study on fe_rigid

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from rotorsim.identification.waveform.along_angle import with_reaction
-from rotorsim.identification.waveform.data import STABLE_STEP
 from rotorsim.identification.waveform.driven.equations import clock_ports, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
+from rotorsim.identification.waveform.recorded.along_angle import with_reaction
+from rotorsim.identification.waveform.recorded.data import STABLE_STEP
 from rotorsim.model.load import load
 
 RATE, SECONDS = 5000.0, 1.0

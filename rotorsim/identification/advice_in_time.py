@@ -13,12 +13,12 @@ from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import RotorsimError
 from rotorsim.identification.advice import LONGER, Advice
 from rotorsim.identification.verdict import relative_width
-from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.driven.equations import driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.errors import errors_of
 from rotorsim.identification.waveform.estimate import TimeEstimate, without_starts
 from rotorsim.identification.waveform.noise_model import NoiseModel
+from rotorsim.identification.waveform.recorded.data import Channels, SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 from rotorsim.linear import linearisation as linear

@@ -9,14 +9,14 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.waveform.along_angle import along_angle, turns_as_recorded, with_reaction
-from rotorsim.identification.waveform.data import RATE_PREFIX, Channels, SampledRun, channels_of
 from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.errors import Errors, errors_of
 from rotorsim.identification.waveform.noise import variance_scale
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, refined
-from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
+from rotorsim.identification.waveform.recorded.along_angle import along_angle, turns_as_recorded, with_reaction
+from rotorsim.identification.waveform.recorded.data import RATE_PREFIX, Channels, SampledRun, channels_of
+from rotorsim.identification.waveform.recorded.reading import marked, notes_of, read_runs
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.jobs.threads import one_thread
 from rotorsim.linear import linearisation as linear

@@ -26,7 +26,7 @@ from rotorsim.identification.in_time import identify_in_time
 from rotorsim.identification.meshes import on_fine_meshes
 from rotorsim.identification.result import Identification, Identified, sentences
 from rotorsim.identification.verdict import judge
-from rotorsim.identification.waveform.along_angle import is_in_time
+from rotorsim.identification.waveform.recorded.along_angle import is_in_time
 from rotorsim.jobs.threads import one_thread
 from rotorsim.linear.linearisation import refuse_sampled
 from rotorsim.measure.checks import check_signals

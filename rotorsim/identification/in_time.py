@@ -18,16 +18,6 @@ from rotorsim.identification.held import Estimated, contradictions_of, is_contra
 from rotorsim.identification.meshes import on_fine_meshes
 from rotorsim.identification.result import Identification, Identified, identified, sentences
 from rotorsim.identification.verdict import judge
-from rotorsim.identification.waveform.along_angle import (
-    along_angle,
-    lateness,
-    turned_later,
-    turns_as_recorded,
-    unused_channels,
-    with_angle_off,
-    with_reaction,
-)
-from rotorsim.identification.waveform.data import Channels, SampledRun, channels_of, chosen_runs
 from rotorsim.identification.waveform.differences import by_differences
 from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.errors import errors_of
@@ -37,7 +27,17 @@ from rotorsim.identification.waveform.hum import with_mains_hum
 from rotorsim.identification.waveform.late_pulses import OnTime, on_time
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel, noise_model
-from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
+from rotorsim.identification.waveform.recorded.along_angle import (
+    along_angle,
+    lateness,
+    turned_later,
+    turns_as_recorded,
+    unused_channels,
+    with_angle_off,
+    with_reaction,
+)
+from rotorsim.identification.waveform.recorded.data import Channels, SampledRun, channels_of, chosen_runs
+from rotorsim.identification.waveform.recorded.reading import marked, notes_of, read_runs
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.jobs.threads import one_thread, own_cores, threads

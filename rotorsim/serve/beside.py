@@ -166,7 +166,7 @@ def beside_settled(
 
 def _alike(diagram: Diagram, parameters: Data, recording: Recording, speed: float) -> tuple[list[Run], list[str]]:
     """Return the runs of the machine that the diagram is, and why others are not; speed: of the diagram [rad/s]."""
-    from rotorsim.identification.waveform.reading import settings_of
+    from rotorsim.identification.waveform.recorded.reading import settings_of
     from rotorsim.measure.as_result import has_angle
     from rotorsim.signals.shaft_angle import shaft_angle
 

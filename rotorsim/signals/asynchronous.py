@@ -16,9 +16,9 @@ from rotorsim.signals.angle_refinement import refined_angle
 from rotorsim.signals.harmonic_basis import Basis, harmonic_basis
 from rotorsim.signals.harmonic_fit import NEAR, HarmonicFit, fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics, samples_of, with_one_noise
-from rotorsim.signals.lines import FEWEST_PERIODS, Spectrum, faint_line, spectrum_of
+from rotorsim.signals.noise.lines import FEWEST_PERIODS, Spectrum, faint_line, spectrum_of
+from rotorsim.signals.noise.whitening import FALSE_ALARM
 from rotorsim.signals.shaft_angle import SLOPE, ShaftAngle
-from rotorsim.signals.whitening import FALSE_ALARM
 
 SIDEBANDS = 5  # combinations k W + nu with |k| up to this
 MULTIPLES = (1, 2, 3)  # of the frequency, that a strong swing of the angle has

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.stats import poisson
 
 from rotorsim.signals.harmonic_basis import Basis
+from rotorsim.signals.noise.whitening import FALSE_ALARM
 from rotorsim.signals.stretches import smallest_step
-from rotorsim.signals.whitening import FALSE_ALARM
 
 AWAY = 6.0  # standard deviations of the noise: a repeated value so far off is the one before (2e-9 by chance)
 BY_CHANCE = 0.1  # of the instants at which all channels repeat, at most

@@ -17,9 +17,9 @@ from scipy.linalg import block_diag
 
 from rotorsim.signals.covariance import complex_values, real_form, real_vector
 from rotorsim.signals.harmonic_basis import Basis, check_samples, harmonic_basis
-from rotorsim.signals.lines import Line, find_lines
-from rotorsim.signals.noise import Noise, noise_of
-from rotorsim.signals.whitening import FALSE_ALARM
+from rotorsim.signals.noise.lines import Line, find_lines
+from rotorsim.signals.noise.noise import Noise, noise_of
+from rotorsim.signals.noise.whitening import FALSE_ALARM
 
 OWN_PLACE = 0.5  # of the resolution, from which on a steady line has columns of its own: its variance doubles there
 NEAR, NEAR_JITTER = 1.5, 4.0  # lines of the spectrum within which something beside a harmonic is not told from it
@@ -181,7 +181,7 @@ class HarmonicFit:
         return np.asarray(block_diag(*blocks))
 
     def recoloured(self, colour: np.ndarray) -> HarmonicFit:
-        """Return the fit with noise of other densities (C, 3), see `rotorsim.signals.colour.density`."""
+        """Return the fit with noise of other densities (C, 3), see `rotorsim.signals.noise.colour.density`."""
         return replace(self, noise=self.noise.recoloured(colour, self.turns, int(self.orders[-1])))
 
     def two_axis(self, x: str, y: str) -> dict[int, complex]:

@@ -12,12 +12,12 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import ANGLE, TACHO, Channel, Recording, Run
 from rotorsim.signals.angle_refinement import refined_angle
-from rotorsim.signals.colour import common_colour
 from rotorsim.signals.dropped_samples import fill_dropped
 from rotorsim.signals.harmonic_basis import check_samples, harmonic_basis
 from rotorsim.signals.harmonic_fit import HarmonicFit, Samples, fit_harmonics
+from rotorsim.signals.noise.colour import common_colour
+from rotorsim.signals.noise.whitening import FALSE_ALARM
 from rotorsim.signals.shaft_angle import ShaftAngle, refuse_run_up, shaft_angle
-from rotorsim.signals.whitening import FALSE_ALARM
 
 EVEN_SPEED = 2  # numbers that pulses of an even speed have: angle zero and the speed
 

@@ -13,7 +13,7 @@ from rotorsim.signals.covariance import complex_values
 from rotorsim.signals.harmonic_basis import Basis, harmonic_basis, wave_columns
 from rotorsim.signals.harmonic_fit import FIT_ROUNDING
 from rotorsim.signals.harmonics import RunHarmonics, samples_of
-from rotorsim.signals.noise import Noise, noise_of
+from rotorsim.signals.noise.noise import Noise, noise_of
 
 KEPT_POWER = 0.9  # of a column that harmonics leave: the variance of those beside it grows by a ninth at most
 LOUDER = 2.0  # variance of noise with a drift in it: five standard deviations of a spectrum averaged over 24 lines

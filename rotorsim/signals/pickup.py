@@ -17,8 +17,8 @@ from rotorsim.recordings.recording import Recording
 from rotorsim.signals.asynchronous import MISSES, Asynchronous, fitted_frequency, spectra_of
 from rotorsim.signals.harmonic_fit import fit_harmonics
 from rotorsim.signals.harmonics import RunHarmonics, contradictions, harmonics_of, samples_of, with_one_noise
-from rotorsim.signals.lines import log_chance
-from rotorsim.signals.whitening import FALSE_ALARM
+from rotorsim.signals.noise.lines import log_chance
+from rotorsim.signals.noise.whitening import FALSE_ALARM
 from rotorsim.units import conversion
 
 MAINS = (50.0, 60.0)  # Hz

@@ -21,7 +21,7 @@ from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.harmonic_basis import harmonic_basis
 from rotorsim.signals.harmonic_fit import RESOLUTION
 from rotorsim.signals.harmonics import RunHarmonics, harmonics_of
-from rotorsim.signals.lines import Line
+from rotorsim.signals.noise.lines import Line
 
 CHANGED = 10.0  # distance, in standard deviations of the noise, by which steps must change the harmonics of all runs
 UNEVEN = 0.02  # of a step, by which readings may miss their level: they are written with few digits

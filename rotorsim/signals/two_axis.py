@@ -14,6 +14,7 @@ from rotorsim.errors import Problem, RotorsimError
 from rotorsim.jobs.threads import one_thread
 from rotorsim.recordings.recording import ANGLE
 from rotorsim.signals.harmonic_fit import HarmonicFit, Samples, fit_harmonics
+from rotorsim.signals.noise.whitening import FALSE_ALARM
 from rotorsim.signals.spectrum import (
     DEFAULT_ORDERS,
     Harmonics,
@@ -23,7 +24,6 @@ from rotorsim.signals.spectrum import (
     reconstruction_error,
     samples_in,
 )
-from rotorsim.signals.whitening import FALSE_ALARM
 from rotorsim.simulation.result import Result
 
 SPECTRUM_METHODS = ("least-squares", "fft", "regression")

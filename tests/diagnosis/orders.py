@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
-from tests.identification.orders import CHANNEL, RPM, SLOW_ROLL, TRUTH
+from tests.identification.waveform.orders import CHANNEL, RPM, SLOW_ROLL, TRUTH
 
 NOISE = 1e-7  # m, standard deviation of real and imaginary part, at amplitudes of 1e-5 to 1e-4
 SPREAD = {"unbalance.eccentricity": 0.3, "unbalance.phase": 0.5, "rotor.stiffness": 0.05, "rotor.viscous_damping": 0.4}

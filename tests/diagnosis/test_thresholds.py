@@ -23,7 +23,7 @@ from rotorsim.diagnosis.search.selection import likely_places
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import Place, Problem
 from rotorsim.identification.waveform.search import OutputErrorSearch
-from rotorsim.signals.noise import Noise
+from rotorsim.signals.noise.noise import Noise
 from tests.diagnosis.evidence.test_scoring import fitted_runs
 from tests.diagnosis.test_selection import candidate
 from tests.diagnosis.test_verdicts import ROWS

@@ -16,7 +16,7 @@ from rotorsim.diagram.parse.source import read_document
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.diagram.standalone import standalone
 from rotorsim.errors import RotorsimError
-from rotorsim.identification.waveform.along_angle import with_reaction
+from rotorsim.identification.waveform.recorded.along_angle import with_reaction
 from rotorsim.model.load import load, load_standalone
 from rotorsim.simulation.run import simulate, without
 

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, expm_frechet
 
-from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
+from rotorsim.identification.waveform.recorded.data import SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.linear import sampled
 from rotorsim.linear.sampled import Tangent, phi_functions, zero_order_hold
@@ -18,7 +18,7 @@ from rotorsim.model.compiled import compile_diagram
 from rotorsim.model.linearity import is_affine
 from rotorsim.model.load import load
 from rotorsim.settled.equations import is_linear
-from tests.diagnosis.evidence.machines import OSCILLATOR
+from tests.diagnosis.evidence.waveform.machines import OSCILLATOR
 
 DT, SAMPLES = 0.02, 200
 THETA = np.array([2.0, 3.0, 900.0])  # mass, damping, stiffness

@@ -11,7 +11,7 @@ from rotorsim.recordings import orders
 from rotorsim.recordings.document import recording_kind
 from rotorsim.recordings.loading import load_recording
 from rotorsim.recordings.orders import load_any, load_orders
-from tests.identification.orders import CHANNEL, write
+from tests.identification.waveform.orders import CHANNEL, write
 
 SPEED = 1000.0 + 10 * np.arange(25)
 VECTORS = np.linspace(1, 3, 25) * 1e-6 * np.exp(1j * np.linspace(0.5, -2.5, 25))

@@ -42,7 +42,7 @@ from rotorsim.report.diagnosis.words import estimate, flat
 from rotorsim.report.figures.orbits import orbits_figure
 from rotorsim.report.figures.spectra import residuals_figure, spectra_figure
 from rotorsim.report.figures.speed_curves import speed_curves_figure
-from tests.diagnosis.evidence.machines import OSCILLATOR
+from tests.diagnosis.evidence.waveform.machines import OSCILLATOR
 from tests.diagnosis.test_diagnosis import HELD, SPEEDS, recording
 from tests.identification import OTHER_GAINS, changed, shipped
 from tests.report import undrawn

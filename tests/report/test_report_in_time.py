@@ -16,8 +16,8 @@ from rotorsim.model.load import load
 from rotorsim.report.diagnosis.compared import OfSamples, compared
 from rotorsim.report.diagnosis.places import SHADES, block_diagram, place_classes
 from rotorsim.report.diagnosis.report import save_report
-from tests.diagnosis.evidence.machines import OSCILLATOR, oscillator_recording
-from tests.diagnosis.evidence.test_any_wire import SERVO
+from tests.diagnosis.evidence.waveform.machines import OSCILLATOR, oscillator_recording
+from tests.diagnosis.evidence.waveform.test_any_wire import SERVO
 from tests.report import undrawn
 from tests.report.test_diagnosis_report import _Page
 

@@ -16,7 +16,7 @@ from rotorsim.report.figures.samples import (
 )
 from rotorsim.report.identification.figures import identification_figures, save_figures
 from rotorsim.report.style import BLUE, RED, Look
-from tests.identification.in_time import OSCILLATOR, even, measured, recording
+from tests.identification.waveform.in_time import OSCILLATOR, even, measured, recording
 
 
 @pytest.fixture(scope="module")

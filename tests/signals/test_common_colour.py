@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from rotorsim.signals.colour import bands_of, common_colour, density, variance_of_mean
 from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.harmonics import harmonics_of
-from rotorsim.signals.noise import Noise
+from rotorsim.signals.noise.colour import bands_of, common_colour, density, variance_of_mean
+from rotorsim.signals.noise.noise import Noise
 from tests.signals.test_asynchronous import HARMONICS, TURN, closed_form, pulses, recording
 from tests.signals.test_nuisances import TIME, N, flicker
 

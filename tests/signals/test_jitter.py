@@ -9,7 +9,7 @@ from rotorsim.errors import Place
 from rotorsim.recordings.recording import Recording, Run
 from rotorsim.signals.harmonic_fit import HarmonicFit
 from rotorsim.signals.harmonics import with_one_jitter
-from rotorsim.signals.noise import Noise
+from rotorsim.signals.noise.noise import Noise
 from rotorsim.signals.shaft_angle import ShaftAngle, shaft_angle
 
 TURN, RATE = 2 * np.pi, 2000.0

@@ -5,9 +5,9 @@ import pytest
 from scipy.stats import chi2, f
 
 from rotorsim.signals.harmonic_fit import Beside, HarmonicFit
-from rotorsim.signals.lines import find_lines
-from rotorsim.signals.noise import Noise, noise_of
-from rotorsim.signals.whitening import is_white
+from rotorsim.signals.noise.lines import find_lines
+from rotorsim.signals.noise.noise import Noise, noise_of
+from rotorsim.signals.noise.whitening import is_white
 
 TURN = 2 * np.pi
 N, STEP = 8000, 1e-3

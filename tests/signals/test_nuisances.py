@@ -5,12 +5,12 @@ import pytest
 from scipy.stats import chi2
 
 from rotorsim.signals import pickup
-from rotorsim.signals.colour import colour_of, density, variance_of_mean
 from rotorsim.signals.covariance import real_vector
 from rotorsim.signals.dropped_samples import dropped_samples, fill_dropped
 from rotorsim.signals.harmonic_basis import harmonic_basis
 from rotorsim.signals.harmonics import harmonics_of
-from rotorsim.signals.lines import Spectrum
+from rotorsim.signals.noise.colour import colour_of, density, variance_of_mean
+from rotorsim.signals.noise.lines import Spectrum
 from rotorsim.signals.pickup import find_mains, with_pickups
 from rotorsim.signals.stretches import smallest_step
 from tests.signals.test_asynchronous import HARMONICS, TURN, closed_form, pulses, recording

@@ -13,7 +13,7 @@ from rotorsim.diagnosis.evidence.waveform.open import open_waveforms
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.in_time import TURNING
-from rotorsim.identification.waveform.along_angle import is_in_time, turns_as_recorded
+from rotorsim.identification.waveform.recorded.along_angle import is_in_time, turns_as_recorded
 from rotorsim.recordings.orders import OrderRecording
 from rotorsim.recordings.recording import Recording
 

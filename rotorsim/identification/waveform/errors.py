@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorsim.identification.waveform.data import mean_of
 from rotorsim.identification.waveform.evaluation import Evaluation
+from rotorsim.identification.waveform.recorded.data import mean_of
 from rotorsim.identification.waveform.search import OutputErrorSearch
 
 

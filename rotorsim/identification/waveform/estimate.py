@@ -12,10 +12,10 @@ from scipy.stats import t as student
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Free
 from rotorsim.identification.left_out import Products
-from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.evaluation import Evaluation, solved
 from rotorsim.identification.waveform.noise import INVERTED, goodness_left_out, products_of, robust_covariance
 from rotorsim.identification.waveform.noise_model import NoiseModel
+from rotorsim.identification.waveform.recorded.data import SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
 
 PART = 0.01  # of a direction that the data say nothing about: who takes part by more is not determined

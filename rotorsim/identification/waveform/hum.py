@@ -14,8 +14,8 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
-from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.noise_model import NoiseModel
+from rotorsim.identification.waveform.recorded.data import Channels, SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.signals.pickup import mains_lines

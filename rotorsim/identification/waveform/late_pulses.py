@@ -16,13 +16,13 @@ import numpy as np
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.along_angle import turned_later
-from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.evaluation import Evaluation, solved
 from rotorsim.identification.waveform.hum import with_mains_hum
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import NoiseModel, noise_model
+from rotorsim.identification.waveform.recorded.along_angle import turned_later
+from rotorsim.identification.waveform.recorded.data import Channels, SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 

@@ -30,11 +30,11 @@ from scipy.stats import t as student
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.left_out import Products
-from rotorsim.identification.waveform.data import SampledRun, mean_of
 from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.evaluation import Evaluation, weighted_blocks
 from rotorsim.identification.waveform.linearised import places_of, simulated_signals
 from rotorsim.identification.waveform.predictability import Predictability, predictability
+from rotorsim.identification.waveform.recorded.data import SampledRun, mean_of
 from rotorsim.identification.waveform.search import REFIT_EVALUATIONS, OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 from rotorsim.signals.quantisation import step_of

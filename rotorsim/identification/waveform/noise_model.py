@@ -17,7 +17,6 @@ from rotorsim.block import In
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.waveform.data import Channels, SampledRun, mean_of
 from rotorsim.identification.waveform.driven.equations import ForceMap, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.evaluation import Evaluation, Label
@@ -33,6 +32,7 @@ from rotorsim.identification.waveform.noise import (
     variance_scale,
     weights_of,
 )
+from rotorsim.identification.waveform.recorded.data import Channels, SampledRun, mean_of
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, OutputErrorSearch
 from rotorsim.identification.waveform.shooting import angle_starts, is_lost, shot
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of

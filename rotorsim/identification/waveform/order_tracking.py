@@ -19,11 +19,11 @@ from scipy.interpolate import CubicSpline
 
 from rotorsim.diagram.diagram import Diagram, Free
 from rotorsim.errors import Problem, RotorsimError, near_miss
-from rotorsim.identification.waveform.data import RATE_PREFIX, STABLE_STEP, SampledRun, signal_name
 from rotorsim.identification.waveform.driven.equations import DrivenEquations, driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.evaluation import Evaluation, Label
-from rotorsim.identification.waveform.reading import settings_of
+from rotorsim.identification.waveform.recorded.data import RATE_PREFIX, STABLE_STEP, SampledRun, signal_name
+from rotorsim.identification.waveform.recorded.reading import settings_of
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS, OutputErrorSearch
 from rotorsim.linear.linearisation import entry_names
 from rotorsim.model.compiled import compile_diagram

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.data import Channels, SampledRun
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.evaluation import Label
 from rotorsim.identification.waveform.noise_model import NoiseModel
+from rotorsim.identification.waveform.recorded.data import Channels, SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
 

@@ -17,9 +17,9 @@ import numpy as np
 
 from rotorsim.diagram.diagram import Free
 from rotorsim.errors import RotorsimError
-from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.evaluation import Evaluation, Label, weighted_blocks
+from rotorsim.identification.waveform.recorded.data import STABLE_STEP, SampledRun
 from rotorsim.jobs.threads import several_threads, side_by_side
 from rotorsim.model.heard import BARRED, gives_up
 

@@ -16,9 +16,9 @@ from operator import itemgetter
 import numpy as np
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.evaluation import Evaluation, Label
 from rotorsim.identification.waveform.noise import variance_scale
+from rotorsim.identification.waveform.recorded.data import SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
 
 SHOT_SAMPLES = 8192  # of all runs, that are shot over

@@ -8,7 +8,6 @@ import casadi as ca
 import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.data import RATE_PREFIX, Channels
 from rotorsim.identification.waveform.driven.equations import (
     DrivenEquations,
     ForceMap,
@@ -18,6 +17,7 @@ from rotorsim.identification.waveform.driven.equations import (
     rate_of,
 )
 from rotorsim.identification.waveform.driven.simulation import Simulation
+from rotorsim.identification.waveform.recorded.data import RATE_PREFIX, Channels
 from rotorsim.model.compiled import Model, compile_diagram
 from rotorsim.model.matrix_function import MatrixFunction
 

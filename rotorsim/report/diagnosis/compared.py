@@ -20,7 +20,7 @@ from rotorsim.diagnosis.evidence.orders.evidence import OrderEvidence
 from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.recorded.data import SampledRun
 from rotorsim.jobs.threads import one_thread
 from rotorsim.report.comparison.harmonics import Comparison, PredictedRuns, predicted_runs
 from rotorsim.report.comparison.samples import SampleComparison, Trace

@@ -29,7 +29,7 @@ from rotorsim.model.load import load
 from rotorsim.recordings.orders import load_orders
 from rotorsim.report.diagnosis.compared import compared
 from tests.diagnosis.orders import NOISE, drawn, passage, recorded, run_up, write_runs
-from tests.identification.orders import ROTOR
+from tests.identification.waveform.orders import ROTOR
 
 X, Y = "1X of rotor.displacement[1]", "1X of rotor.displacement[2]"
 ACROSS = "across rotor.displacement[1] nothing was measured, and planes that differ, or whirl, show only in part"

@@ -13,7 +13,7 @@ from rotorsim.cli.app import rotorsim
 from rotorsim.diagnosis.diagnosis import Diagnosis, diagnose
 from rotorsim.diagnosis.evidence.resonance.resonances import resonances
 from rotorsim.errors import Place, RotorsimError
-from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.recorded.data import SampledRun
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Channel, Recording, Run
 

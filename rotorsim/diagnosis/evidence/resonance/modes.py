@@ -10,8 +10,8 @@ import scipy.linalg
 from scipy.sparse.csgraph import connected_components
 
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.data import Channels
 from rotorsim.identification.waveform.driven.equations import driven_equations
+from rotorsim.identification.waveform.recorded.data import Channels
 
 LOWEST = 1e-3  # Hz: below is no mode but a drift
 SEEN = 1e-9  # of the largest shape at the sensors

@@ -17,8 +17,8 @@ from rotorsim.diagnosis.evidence.resonance.evidence import ResonanceEvidence
 from rotorsim.diagnosis.evidence.resonance.resonances import resonances
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.waveform.data import STABLE_STEP, channels_of, chosen_runs
-from rotorsim.identification.waveform.reading import marked, read_runs
+from rotorsim.identification.waveform.recorded.data import STABLE_STEP, channels_of, chosen_runs
+from rotorsim.identification.waveform.recorded.reading import marked, read_runs
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS
 from rotorsim.linear.linearisation import jacobians
 from rotorsim.model.compiled import compile_diagram

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from rotorsim.criteria import CRITERIA
-from rotorsim.identification.waveform.data import SampledRun
+from rotorsim.identification.waveform.recorded.data import SampledRun
 
 SMOOTH = 5.0  # lines of the spectrum, standard deviation of the window
 STRONG, WEAK = 0.7, 0.4  # prominence of a peak, of the logarithm of amplitude

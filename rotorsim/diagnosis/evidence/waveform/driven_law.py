@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from rotorsim.fault import Fault
-from rotorsim.identification.waveform.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.linearised import LinearisedRun
+from rotorsim.identification.waveform.recorded.data import STABLE_STEP, SampledRun
 from rotorsim.identification.waveform.search import SIMULATION_SUBSTEPS
 from rotorsim.linear.kalman import Whitening
 from rotorsim.linear.sampled import LARGE

@@ -16,7 +16,6 @@ from rotorsim.diagnosis.evidence.fit import FAILURES, Effort, Fit, Starts, faile
 from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder, Sensitivities
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.errors import Problem, RotorsimError
-from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.differences import by_differences
 from rotorsim.identification.waveform.evaluation import Evaluation, Label
 from rotorsim.identification.waveform.noise import (
@@ -28,6 +27,7 @@ from rotorsim.identification.waveform.noise import (
     weights_of,
     whitened,
 )
+from rotorsim.identification.waveform.recorded.data import SampledRun
 from rotorsim.identification.waveform.search import MOST_SIMULATIONS, OutputErrorSearch
 from rotorsim.identification.waveform.shooting import is_lost, shot
 from rotorsim.identification.waveform.starting import started

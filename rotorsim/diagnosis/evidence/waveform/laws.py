@@ -43,10 +43,10 @@ from rotorsim.diagnosis.evidence.waveform.dominant_line import dominant_line, wh
 from rotorsim.diagnosis.evidence.waveform.driven_law import OTHER, WIRE, DrivenLaw, View
 from rotorsim.diagnosis.evidence.waveform.onset import onset_times
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.driven.equations import driven_equations
 from rotorsim.identification.waveform.driven.simulation import Simulation
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place
+from rotorsim.identification.waveform.recorded.data import SampledRun
 from rotorsim.identification.waveform.unknown_input import SignalEstimate, Smoothed, UnknownInputs
 
 SMOOTHED_PLACES = 8  # the likeliest, where the signal that the place carries is estimated, too

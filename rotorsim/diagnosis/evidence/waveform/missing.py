@@ -13,10 +13,10 @@ from rotorsim.diagnosis.evidence.missing_signal import MissingSignal, PlaceClass
 from rotorsim.diagnosis.evidence.waveform.dominant_line import line_beside_noise
 from rotorsim.diagnosis.evidence.waveform.laws import spot_of
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.identification.waveform.linearised import LinearisedRun, Place, linearised, simulated_signals
 from rotorsim.identification.waveform.predictability import predictability
+from rotorsim.identification.waveform.recorded.data import SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.unknown_input import Smoothed, UnknownInputs, smoothed_motion
 

@@ -16,7 +16,10 @@ from rotorsim.diagnosis.evidence.waveform.turning import TurningEvidence
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
 from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
-from rotorsim.identification.waveform.along_angle import (
+from rotorsim.identification.waveform.hum import with_mains_hum
+from rotorsim.identification.waveform.late_pulses import on_time
+from rotorsim.identification.waveform.parts import parts_of
+from rotorsim.identification.waveform.recorded.along_angle import (
     along_angle,
     lateness,
     turned_later,
@@ -24,11 +27,8 @@ from rotorsim.identification.waveform.along_angle import (
     unused_channels,
     with_reaction,
 )
-from rotorsim.identification.waveform.data import channels_of, chosen_runs
-from rotorsim.identification.waveform.hum import with_mains_hum
-from rotorsim.identification.waveform.late_pulses import on_time
-from rotorsim.identification.waveform.parts import parts_of
-from rotorsim.identification.waveform.reading import marked, notes_of, read_runs
+from rotorsim.identification.waveform.recorded.data import channels_of, chosen_runs
+from rotorsim.identification.waveform.recorded.reading import marked, notes_of, read_runs
 from rotorsim.recordings.recording import Recording
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from rotorsim.diagnosis.evidence.fit import FAILURES, TO_THE_END, Effort, Fit, Starts, failed_fit
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.data import Channels, SampledRun
+from rotorsim.identification.waveform.recorded.data import Channels, SampledRun
 from rotorsim.model.load import load
 from rotorsim.recordings.recording import Recording
 

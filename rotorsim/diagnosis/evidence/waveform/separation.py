@@ -18,9 +18,9 @@ import numpy as np
 from rotorsim.diagnosis.evidence.change import Change, best_of, change_of
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagram.diagram import Diagram
-from rotorsim.identification.waveform.data import SampledRun
 from rotorsim.identification.waveform.evaluation import Evaluation
 from rotorsim.identification.waveform.linearised import with_outputs
+from rotorsim.identification.waveform.recorded.data import SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
 
 TRIED_AMPLITUDES = (2.0, 0.5)  # times that of an input on record, about its mean

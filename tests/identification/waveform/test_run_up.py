@@ -1,0 +1,285 @@
+"""Runs whose speed changes: the angle from pulses, identification along it, and structures of slow modes only."""
+
+from dataclasses import replace
+from math import tau
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from rotorsim.errors import Place, RotorsimError
+from rotorsim.identification.as_recorded import simulate_as_recorded
+from rotorsim.identification.identification import identify
+from rotorsim.identification.waveform.driven.equations import driven_equations
+from rotorsim.identification.waveform.estimate import time_estimate, with_angle_errors, with_late_pulses
+from rotorsim.identification.waveform.noise import weights_of
+from rotorsim.identification.waveform.noise_model import noise_model
+from rotorsim.identification.waveform.recorded.along_angle import (
+    along_angle,
+    is_in_time,
+    turned_later,
+    unused_channels,
+    with_angle_off,
+    with_reaction,
+)
+from rotorsim.identification.waveform.recorded.data import SampledRun, channels_of
+from rotorsim.identification.waveform.recorded.reading import read_runs
+from rotorsim.identification.waveform.search import OutputErrorSearch
+from rotorsim.identification.waveform.shooting import angle_starts
+from rotorsim.identification.waveform.subsystems import subsystems_of
+from rotorsim.model.load import load
+from rotorsim.recordings.recording import Channel, Recording, Run
+from rotorsim.signals.turning import turning
+from tests.identification.waveform.run_up import (
+    JITTER,
+    RATE,
+    Machine,
+    drawn,
+    pulses,
+    ramp,
+    recorded,
+    recording,
+    runs_of,
+)
+
+BENT = ramp(500, 5600, 3.0, 0.5)
+
+
+def pulsed(angle, duration: float, seed: int = 1) -> tuple[Recording, Run]:
+    time = np.arange(round(duration * 1000)) / 1000
+    tacho = pulses(angle, time, np.random.default_rng(seed))
+    run = Run("up", "up.npz", time, {}, None, tacho, {}, "identify", Place("recording.json", 3, 4), 1000.0)
+    return recording(run), run
+
+
+def test_the_angle_is_smoother_than_its_pulses():
+    made, run = pulsed(BENT, 3.0)
+    shaft, (theta, speed, acceleration) = turning(made, run), BENT(run.time)
+    known = np.isfinite(shaft.theta)
+    first, last = run.tacho[[0, -1]]
+    np.testing.assert_array_equal(known, (run.time >= first) & (run.time <= last))  # a spline ends at the pulses
+    off = (shaft.theta - theta)[known]
+    off -= tau * np.round(off.mean() / tau)
+    assert np.sqrt(np.mean(off**2)) < JITTER * speed.mean()  # less than that of a pulse
+    assert np.abs(shaft.speed - speed)[known].max() < 1e-3 * speed.max()
+    assert np.sqrt(np.mean((shaft.acceleration - acceleration)[known] ** 2)) < 0.02 * acceleration.max()
+
+
+def test_a_constant_acceleration_holds_for_one_turn_beyond_the_pulses():
+    angle = ramp(600, 3000, 2.0)
+    made, run = pulsed(angle, 2.0)
+    shaft = turning(made, run)
+    assert np.isfinite(shaft.theta).all()  # less than a turn is missing at either end
+    np.testing.assert_allclose(shaft.acceleration, 40 * np.pi, rtol=1e-3)
+    cut = replace(run, tacho=run.tacho[5:])
+    theta = turning(made, cut).theta
+    assert np.nanmin(theta) >= -tau
+    assert np.isnan(theta[:100]).all()
+
+
+def test_a_recorded_angle_stays_as_it_is_and_has_smooth_derivatives():
+    time = np.arange(2000) / 1000
+    theta, speed, acceleration = ramp(3000, 300, 2.0, 0.3)(time)
+    rough = theta + 1e-3 * np.random.default_rng(2).normal(size=2000)
+    channels = {"a": Channel("a", "clock.theta", None, None, None, "rad")}
+    run = Run("down", "down.npz", time, {"a": rough}, None, None, {}, "identify", Place(""), 1000.0)
+    shaft = turning(Recording("rig", "", Path(), channels, (run,)), run)
+    np.testing.assert_array_equal(shaft.theta, rough)
+    assert np.abs(shaft.speed - speed).max() < 1e-2 * speed.max()
+    assert np.sqrt(np.mean((shaft.acceleration - acceleration) ** 2)) < 0.05 * np.abs(acceleration).max()
+
+
+def test_only_speeds_that_change_make_a_recording_one_in_time():
+    steady = recording(recorded("steady", Machine(), ramp(3000, 3003, 0.4), 0.4, 1))
+    up = recorded("up", Machine(), ramp(1000, 3000, 0.4), 0.4, 1)
+    jeffcott = load("jeffcott")
+    assert not is_in_time(jeffcott, steady)
+    assert is_in_time(jeffcott, recording(up))
+    assert is_in_time(jeffcott, recording(*steady.runs, up))
+
+
+def test_unbalances_are_wired_to_the_acceleration_once():
+    wired = with_reaction(load("jeffcott"))
+    assert ["clock.acceleration", "unbalance.acceleration"] in wired.document["wires"]
+    assert with_reaction(wired) is wired
+    assert [str(one) for one in wired.warnings] == [
+        "warning: jeffcott: unbalance.acceleration is wired to clock.acceleration: the speed changes in these runs"
+    ]
+    cut = load("jeffcott", without=["unbalance"])
+    assert with_reaction(cut) is cut
+
+
+@pytest.mark.slow
+def test_the_right_diagram_leaves_the_noise_of_a_run_up():
+    """Pulses jitter by 1.5 us, 0.9 mrad at 5600 rpm; once smoothed, that is not seen any more."""
+    machine = Machine()
+    run = recorded("up", machine, ramp(500, 5600, 2.0, 0.5), 2.0, 7)
+    found = simulate_as_recorded(load("jeffcott", set=machine.parameters), recording(run))
+    white = {"rotor.displacement[1]": 3e-8, "controller.current[2]": 5e-4}
+    for name, rms in white.items():
+        assert rms < found.errors.rms[name] < 1.15 * rms  # with a third of slow noise and of pick-up: 1.106
+    assert "clock.acceleration" in found.result.signals
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 4])
+def test_parameters_come_back_from_run_ups(seed):
+    machine = drawn(seed)  # its angles are anywhere, its gains differ from run to run
+    found = identify(load("jeffcott"), runs_of(machine, seed, 2.0))
+    assert found.adequate
+    for name, truth in machine.parameters.items():
+        one = found.parameters[name]
+        most = np.radians(0.5) if one.unit == "rad" else truth * (0.03 if "displacement" in name else 0.01)
+        assert abs(one.value - truth) < most, name
+        assert abs(one.value - truth) < 4 * one.std, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stamped", [np.ceil, np.floor])
+def test_sampled_pulses_are_late_alike(stamped):
+    """FAULT: angles were 12 standard deviations off, and nothing said so: half a sample is 3.4 deg at the end."""
+    machine = Machine()
+    fine = runs_of(machine, 3, 3.0)
+    runs = tuple(replace(run, tacho=stamped(run.tacho * RATE) / RATE) for run in fine.runs)
+    found = identify(load("jeffcott"), replace(fine, runs=runs))
+    for name, truth in machine.parameters.items():
+        one = found.parameters[name]
+        assert abs(one.value - truth) < 3 * one.std, name
+        assert one.unit != "rad" or abs(one.value - truth) < np.radians(0.5), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("angle", "most"), [(ramp(600, 3000, 3.0), 1.4), (BENT, 2.0)])
+def test_an_angle_is_as_uncertain_as_its_pulses_make_it(angle, most):
+    """Squares of errors over their variance, at 20 instants of 40 draws: one on average.
+
+    Where the number of parts is the least that the pulses allow, its bias is as much again at most.
+    """
+    squares = []
+    for seed in range(40):
+        made, run = pulsed(angle, 3.0, seed + 1)
+        curve = turning(made, run).curve
+        at = np.linspace(*run.tacho[[0, -1]], 22)[1:-1]
+        off = curve(at) - angle(at)[0]
+        off -= tau * np.round(off.mean() / tau)
+        squares.append(off**2 / (curve.errors(at) ** 2).sum(axis=1))
+    assert 0.8 < np.mean(squares) < most
+
+
+def test_errors_of_an_angle_are_those_of_its_speed_and_acceleration():
+    made, run = pulsed(BENT, 3.0)
+    own = along_angle(load("jeffcott"), made).runs[0]
+    known = np.isfinite(own.values["clock.theta"])
+    sampled = SampledRun("up", own.values, {}, run.time, {}).part(np.flatnonzero(known))
+    off = list(with_angle_off(load("jeffcott"), made, sampled))
+    curve = turning(made, run).curve
+    assert len(off) == len(curve.a)
+    for other in off[:: len(off) // 3]:
+        theta, speed = (other.values[name] - sampled.values[name] for name in ("clock.theta", "clock.speed"))
+        assert 0 < np.abs(theta).max() < 3 * JITTER * 600
+        np.testing.assert_allclose(np.gradient(theta, 1e-3)[2:-2], speed[2:-2], atol=2e-2 * np.abs(speed).max())
+
+
+@pytest.mark.slow
+def test_an_angle_that_is_off_throughout_counts_as_late_pulses_do():
+    diagram, made = with_reaction(load("jeffcott")), recording(recorded("up", Machine(), ramp(600, 5000, 1.5), 1.5, 3))
+    made = along_angle(diagram, made)
+    channels = channels_of(diagram, made)
+    runs = read_runs(diagram, made.runs, channels)
+    noise = noise_model(diagram, channels, runs)
+    weights = weights_of(noise.variance, runs, noise.rows)
+    search = OutputErrorSearch(subsystems_of(diagram, channels), runs, weights, noise.least)
+    start = search.first(noise.starts)
+    start[: search.m] = noise.theta
+    found = time_estimate(search, search.minimise(start), noise)
+    later = [turned_later(run, diagram, 1e-6) for run in runs]
+    added = [one.robust - found.robust for one in (with_late_pulses(found, later), with_angle_errors(found, [later]))]
+    scale = np.sqrt(np.diag(added[0])[: search.m])
+    np.testing.assert_allclose(np.sqrt(np.diag(added[1])[: search.m]), scale, rtol=0.02)
+
+
+def test_a_measured_speed_beside_the_angle_is_said_not_to_be_used():
+    [run] = runs_of(Machine(), 1, 1.0).runs[:1]
+    made = recording(run)
+    assert unused_channels(load("jeffcott"), made) == []
+    channels = {**made.channels, "n": Channel("n", "clock.speed", None, None, None, "rad/s")}
+    [said] = unused_channels(load("jeffcott"), replace(made, channels=channels))
+    assert said.what == "is not used: the speed of the shaft is taken from its angle"
+    assert said.subject == "channel n"
+
+
+def test_a_shaft_is_later_by_its_speed():
+    [run] = runs_of(Machine(), 1, 1.0).runs[:1]
+    values = {"clock.theta": 3.0 * run.time, "clock.speed": np.full(len(run.time), 3.0), "clock.acceleration": run.time}
+    later = turned_later(SampledRun("up", values, {}, run.time, {}), load("jeffcott"), 0.1)
+    np.testing.assert_allclose(later.values["clock.theta"], 3.0 * (run.time + 0.1), rtol=1e-12)
+    np.testing.assert_allclose(later.values["clock.speed"], 3.0 + 0.1 * run.time, rtol=1e-12)
+
+
+def test_several_starts_of_free_angles_are_followed_the_best_first():
+    """FAULT: a crack ended on the far side of the shaft, since magnitudes that are off turn the best angle.
+
+    The six best of a grid of 60 deg, with bounded angles as they are.
+    """
+    best = np.radians([60.0, -120.0])
+    costs = []
+
+    def evaluate(x: np.ndarray, sub: int, sensitivities: bool) -> SimpleNamespace:
+        costs.append(float((1 - np.cos(x[:2] - best)) @ [1.0, 0.3]))
+        return SimpleNamespace(cost=costs[-1])
+
+    search = SimpleNamespace(angles=np.array([0, 1]), substeps=lambda x: 1, evaluate=evaluate)
+    starts = angle_starts(search, np.array([0.0, 0.0, 0.7]))
+    assert len(costs) == 36
+    assert len(starts) == 6
+    np.testing.assert_allclose(starts[0], [*best, 0.7], atol=1e-12)
+    follow = [float((1 - np.cos(x[:2] - best)) @ [1.0, 0.3]) for x in starts]
+    np.testing.assert_allclose(follow, sorted(costs)[:6], atol=1e-12)
+    [only] = angle_starts(SimpleNamespace(angles=[], substeps=lambda x: 1), best)
+    assert only is best
+
+
+def test_fast_modes_leave_their_flexibility_and_slow_ones_as_they_are():
+    diagram = load("fe_rigid")
+    names = ["rotor.displacement[2,1]", "rotor.displacement[4,2]", "controller.current[1]"]
+    given = ("clock.theta", "clock.speed")
+    whole = driven_equations(diagram, names, given, ())
+    less = driven_equations(diagram, names, given, (), fastest=1e4)
+    assert (whole.n, less.n) == (42, 18)  # four modes of each plane are slower, and two integrals
+    assert set(less.state_names) < set(whole.state_names)
+    p, v = whole.model.parameter_vector(), np.array([0.3, 300.0])
+
+    def modes(equations):
+        values = np.linalg.eigvals(equations.matrices[0](0.0, np.zeros(equations.n), v, p)[0])
+        return np.sort(np.abs(values))[:18]
+
+    np.testing.assert_allclose(modes(less), modes(whole), rtol=1e-4)
+
+    def static(equations):
+        x = np.zeros(equations.n)
+        A, C = (matrix(0.0, x, v, p)[0] for matrix in equations.matrices)
+        f, g = _values(equations, x, v, p)
+        return g - C @ np.linalg.solve(A, f)
+
+    np.testing.assert_allclose(static(less)[:2], static(whole)[:2], rtol=1e-9)
+
+
+def _values(equations, x, v, p):
+    import casadi as ca
+
+    function = ca.Function("fg", list(equations.arguments), [equations.f, equations.g])
+    return (np.array(part).ravel() for part in function(0.0, x, v, p))
+
+
+def test_what_cannot_turn_as_recorded_is_said_at_once():
+    made, run = pulsed(ramp(600, 3000, 1.0), 1.0)
+    blind = replace(run, id="blind", tacho=None, speed=100.0, place=Place("recording.json", 9, 5))
+    with pytest.raises(RotorsimError) as caught:
+        along_angle(load("silverbox"), replace(made, runs=(run, blind)))
+    assert str(caught.value) == (
+        "error: silverbox: has no clock: which one turns as recorded is not known\n\n"
+        "hint: one block 'clock' gives the angle of the shaft\n"
+        "recording.json:9:5: error: run blind: its shaft angle was not recorded\n\n"
+        'hint: give "tacho": times of a once-per-turn pulse, or a channel of clock.theta'
+    )
