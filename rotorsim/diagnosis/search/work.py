@@ -55,33 +55,33 @@ class Work:
         return found
 
     def promises(self, jobs: Sequence[Job]) -> list[float]:
-        """Return what documents with a law promise, NaN where that is not known: a part failed, or the process."""
+        """Return what documents with a law promise, NaN where that is not known: a part failed, or the job."""
         found = self._spread(_promise_batch, jobs, ())
-        return [(np.nan if item.type == DIED else np.inf) if isinstance(item, Failure) else item for item in found]
+        return [np.nan if isinstance(item, Failure) else item for item in found]
 
     def fits(self, jobs: Sequence[Job], effort: Effort) -> list[Fit]:
-        """Return the fits of documents; of a batch that is lost, its failure."""
+        """Return the fits of documents; of one that is lost, its failure."""
         fits = self._spread(_fit_batch, jobs, (effort,))
         return [
-            Fit(document, failure=plain.text, stopped=plain.type == DIED)
+            Fit(document, failure=_reason(plain), stopped=True)
             if isinstance(plain, Failure)
             else fit_from_plain(document, plain)
             for (document, _), plain in zip(jobs, fits, strict=True)
         ]
 
     def _spread(self, function: Callable[[Any], Answer], jobs: Sequence[Job], options: tuple[Any, ...]) -> list[Any]:
-        """Return what a function gives for every job, in batches over all workers; `Failure` where a batch is lost."""
+        """Return what a function gives for every job, in batches over all workers; `Failure` of one that is lost."""
         if not jobs:
             return []
         count = min(len(jobs), BATCHES * (self.jobs.workers or 2))
         out: list[Any] = [None] * len(jobs)
         batches = [range(k, len(jobs), count) for k in range(count)]
-        while batches:  # those that ended their process are done once more, one by one: only the one that did is lost
+        while batches:  # those that failed are done once more, one by one: only the job that did is lost
             arguments = [([jobs[k] for k in batch], self.evidence, *options) for batch in batches]
             results = run_jobs(function, arguments, jobs=self.jobs, on_error="return")
             again: list[range] = []
             for batch, result in zip(batches, results, strict=True):
-                if isinstance(result, Failure) and result.type == DIED and len(batch) > 1:
+                if isinstance(result, Failure) and len(batch) > 1:
                     again += [range(k, k + 1) for k in batch]
                     continue
                 found = [result] * len(batch) if isinstance(result, Failure) else _heard_of(result)
@@ -89,6 +89,11 @@ class Work:
                     out[k] = one
             batches = again
         return out
+
+
+def _reason(failure: Failure) -> str:
+    """Return in words why a job is lost: its process died, or an error that nobody foresaw."""
+    return failure.text if failure.type == DIED else f"internal error: {failure.type}: {failure.text}"
 
 
 def _heard_of(answer: Answer) -> list[Any]:

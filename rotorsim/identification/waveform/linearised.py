@@ -159,7 +159,8 @@ def linearised(
     outputs = [*given.outputs, *ports]
     whole, unknowns = with_outputs(diagram, search, evaluation, outputs)
     taken = list(dict.fromkeys(place.entry for place in places if place.taken))
-    about = _About(driven_equations(diagram, outputs, given.inputs, diagram.free, added=taken), len(given.inputs))
+    pushed = driven_equations(diagram, outputs, given.inputs, diagram.free, added=taken, fastest=given.fastest)
+    about = _About(pushed, len(given.inputs))
     column = [taken.index(place.entry) if place.taken else len(taken) for place in places]  # the last is no input
     row = [c + ports.index(place.port) for place in places]
     reading = np.array([[place.recorded and place.port == name for place in places] for name in given.outputs], float)
