@@ -10,7 +10,7 @@ from rotorsim.diagnosis.catalogue.catalogue import Catalogue
 from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.conclude import verdict as verdicts
 from rotorsim.diagnosis.conclude.disturbance import disturbed
-from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, taken_twice
+from rotorsim.diagnosis.conclude.result import Diagnosis, Effect, taken_twice, untried_of
 from rotorsim.diagnosis.conclude.shares import Explained, explanations, residual_of
 from rotorsim.diagnosis.conclude.unknown_force import UnknownForce
 from rotorsim.diagnosis.conclude.validation import Proof, contradicts, is_faint, material_effects, prove, prove_by_error
@@ -191,6 +191,8 @@ def _judged(opened: Opened, selection: Selection) -> _Judged:
     )
     if verdict == "consistent" and evidence.structure(selection.fit):
         verdict = "outside_catalogue"
+    if verdict == "consistent" and untried_of(selection):
+        verdict = "not_identifiable"
     if verdict == "missing_physics":
         imitates = verdicts.is_no_explanation(selection, evidence.unexplained(selection.fit))
         verdict = "outside_catalogue" if imitates or taken_twice(effects) else verdict

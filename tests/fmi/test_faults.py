@@ -215,24 +215,6 @@ def test_one_candidate_that_kills_its_process_is_the_only_one_lost(monkeypatch: 
     assert np.isnan(promises).all()  # not infinite: nothing is known of them
 
 
-def test_an_error_that_nobody_foresaw_costs_one_candidate_and_is_said() -> None:
-    def fit(document: Any, starts: Any, effort: Any) -> Fit:
-        if document == "bad":
-            raise IndexError("index 29 is out of bounds")
-        return Fit(document, misfit=1.0)
-
-    def promise(document: Any, starts: Any) -> float:
-        return fit(document, starts, None).misfit
-
-    evidence: Any = SimpleNamespace(fit=fit, promise=promise)
-    jobs: Any = [(name, [[{}]]) for name in ("a", "bad", "b", "c", "d", "e", "f", "g", "h", "i")]
-    of = Work(evidence, Jobs(workers=1))
-    fits = of.fits(jobs, work.Effort())
-    assert [fit.stopped for fit in fits] == [job[0] == "bad" for job in jobs]
-    assert fits[1].failure == "internal error: IndexError: index 29 is out of bounds"
-    assert [np.isnan(one) for one in of.promises(jobs)] == [job[0] == "bad" for job in jobs]
-
-
 @pytest.mark.slow
 def test_a_diagnosis_goes_on_where_the_fmu_crashes(
     clean: Path,  # noqa: F811 - no process, file or descriptor is left

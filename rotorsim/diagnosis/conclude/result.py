@@ -205,7 +205,7 @@ def interval(value: float, std: float) -> tuple[float, float]:
 
 
 def untried_of(selection: Selection) -> dict[str, str]:
-    """Return the hypotheses, in words, that a part that failed has kept from being fitted, and what it did."""
+    """Return the hypotheses, in words, that a part that failed or an error kept from being fitted, and what it was."""
     stopped: dict[str, str] = {}
     for n, found in enumerate(selection.rounds):
         names = [item.insertion.physics for item in selection.chosen[:n]]

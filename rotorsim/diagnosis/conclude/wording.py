@@ -22,6 +22,7 @@ UNTRIED = 5  # hypotheses that are named
 WHOLE_SHARE = 0.999  # a share from which its digits say nothing
 ONE_SPEED = "at one speed unbalance imitates bow and runout, and force factors imitate stiffness and damping"
 REPEATED = "a run with the inputs and start of another: a law adds the same again, an unmeasured disturbance does not"
+UNFITTED = "none yet: what could not be fitted may be what is missing; once it can be, diagnose again"
 MORE_RUNS = "runs at several speeds, from slow roll to above the first critical, and some with other gains"
 
 
@@ -54,6 +55,8 @@ def next_experiment(diagnosis: Diagnosis) -> str:
         return f"{longer}: {evidence.unjudged}"
     if verdict in ("consistent", "not_identifiable") and evidence.alike:
         return f"{MORE_RUNS}: {ONE_SPEED}"
+    if untried_of(diagnosis.selection):
+        return UNFITTED
     if verdict == "consistent":
         return "none is needed for what the diagram states; smaller effects need lower noise or longer runs"
     return "none is needed: one hypothesis is left"
@@ -138,7 +141,7 @@ def _inside(diagnosis: Diagnosis) -> str:
 
 
 def _untried(diagnosis: Diagnosis) -> str:
-    """Return what could not be fitted because a part failed."""
+    """Return what could not be fitted, and why."""
     stopped = untried_of(diagnosis.selection)
     if not stopped:
         return ""
@@ -159,7 +162,9 @@ def _variance(ratio: float, diagnosis: Diagnosis) -> str:
 def _consistent(diagnosis: Diagnosis) -> list[str]:
     name, ratio = _name(diagnosis), _variance(diagnosis.before.excess_variance, diagnosis)
     if is_noise(diagnosis.before):
-        parts = [f"{name} explains the recording: {ratio}; no fault candidate explains more of it than noise would."]
+        fitted = " that could be fitted" if untried_of(diagnosis.selection) else ""
+        more = f"no fault candidate{fitted} explains more of it than noise would"
+        parts = [f"{name} explains the recording: {ratio}; {more}."]
     else:
         none = "no fault candidate explains the rest on hold-out runs too"
         parts = [f"{name} explains the recording but for a small residual: {ratio}; {none}.", _residual(diagnosis)]

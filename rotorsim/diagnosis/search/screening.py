@@ -98,8 +98,8 @@ class Screening:
         """Return what laws promise by their sensitivities, beside what the diagram without them does."""
         [beside, *promises] = self.work.promises([(values_in(before.document, before.values), [[{}]]), *jobs])
         least = HINT * len(before.free) if is_adequate(before) else 0.0  # below, it is noise
-        lost = np.isnan(beside)
-        known = [None if lost or np.isnan(promise) else max(beside - promise, 0.0) for promise in promises]
+        told = [not np.isnan([beside, promise]).any() for promise in promises]
+        known = [max(beside - promise, 0.0) if k else None for k, promise in zip(told, promises, strict=True)]
         return [None if one is None else Promise(before.misfit - (one if one > least else 0.0)) for one in known]
 
     def _at_likely_places(

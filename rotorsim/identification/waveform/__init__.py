@@ -1,1 +1,1 @@
-"""Samples in time: what drives a diagram, output-error search, what counts as noise, free signals."""
+"""Samples in time: output-error search, what counts as noise, free signals."""

@@ -34,6 +34,7 @@ VERDICT_WORDS = {
     "outside_catalogue": ("Physics outside the catalogue is missing", "#6a2300"),
     "not_identifiable": ("Physics is missing, and the data do not say which", "#7a5c00"),
 }
+UNJUDGED = "Whether physics is missing cannot be judged"
 ERROR = "Root mean square of the residual, in parts of the signal about its mean."
 
 
@@ -107,6 +108,7 @@ def _runs(diagnosis: Diagnosis) -> str:
 
 def _head(diagnosis: Diagnosis, title: str) -> str:
     words, colour = VERDICT_WORDS[diagnosis.verdict]
+    words = UNJUDGED if diagnosis.verdict == "not_identifiable" and not diagnosis.effects else words
     return (
         f"<h1>{escape(title)}</h1>\n"
         f'<div class="verdict" style="border-color:{colour}"><b style="color:{colour}">{escape(words)}</b>'
@@ -122,6 +124,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
         return (
             f"The diagram explains the recording within its noise{f'; its error is {before} in {runs}' * bool(before)}."
         )
+    if not diagnosis.effects and diagnosis.verdict == "not_identifiable":
+        return "The diagram explains the recording within its noise, which does not say that nothing is missing."
     if diagnosis.verdict == "outside_catalogue":
         place = f"; it acts most likely at {diagnosis.places[0].words}" if diagnosis.places else ""
         return f"No fault candidate of the catalogue explains the residual{place}."
