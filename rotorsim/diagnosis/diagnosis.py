@@ -205,14 +205,14 @@ def _repaired(opened: Opened, judged: _Judged, unknown: UnknownForce | None) -> 
     before = opened.before if opened.converters else selection.base
     after = verdicts.nearest(selection, unknown, disproved=judged.disproved)
     if judged.outside or not selection.chosen:
-        return evidence, before, after
+        return evidence, evidence.widened(before), evidence.widened(after)
     laws = [item.insertion for item in selection.chosen]
     evidence, after = evidence.sharpened(after, laws)
     after = evidence.finished(after, laws)
     quieter = evidence.recalibrated(after)
-    if quieter is None:
-        return evidence, before, after
-    return quieter, quieter.at(before), quieter.fit(after.document, [[after.values]])
+    if quieter is not None:
+        evidence, before, after = quieter, quieter.at(before), quieter.fit(after.document, [[after.values]])
+    return evidence, evidence.widened(before), evidence.widened(after)
 
 
 def _concluded(opened: Opened, selection: Selection, jobs: Jobs) -> Diagnosis:

@@ -21,24 +21,24 @@ from rotorsim.identification.verdict import judge
 from rotorsim.identification.waveform.differences import by_differences
 from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.errors import errors_of
-from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate, with_angle_errors, with_late_pulses
+from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate
 from rotorsim.identification.waveform.evaluation import Evaluation
-from rotorsim.identification.waveform.hum import with_mains_hum
 from rotorsim.identification.waveform.late_pulses import OnTime, on_time
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel, noise_model
+from rotorsim.identification.waveform.open_angle import OpenAngle
 from rotorsim.identification.waveform.recorded.along_angle import (
     along_angle,
     lateness,
     turned_later,
     turns_as_recorded,
     unused_channels,
-    with_angle_off,
     with_reaction,
 )
 from rotorsim.identification.waveform.recorded.data import Channels, SampledRun, channels_of, chosen_runs
 from rotorsim.identification.waveform.recorded.reading import marked, notes_of, read_runs
 from rotorsim.identification.waveform.search import OutputErrorSearch
+from rotorsim.identification.waveform.sensors import with_sensor_errors
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.jobs.threads import one_thread, own_cores, threads
 from rotorsim.recordings.recording import Recording, Run
@@ -119,7 +119,9 @@ def identify_in_time(
         contradicted = contradictions_of(diagram, fitted, settings_of(chosen))
         sampled, noise = timed.runs, timed.noise
         held_out = tuple(turned_later(run, diagram, timed.shift) for run in held_out)
-        held_out = with_mains_hum(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
+        held_out = (
+            with_sensor_errors(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
+        )
         verdicts = judge(estimate, estimate.intervals, precision=precision)
         left = [item.name for item, one in zip(estimate.free, verdicts, strict=True) if not one.identifiable]
         advice = advise_in_time(estimate, noise, channels, left, precision) if left else []
@@ -230,12 +232,10 @@ class _Fitted:
         return self._wider(self.estimate)
 
     def _wider(self, found: TimeEstimate) -> TimeEstimate:
-        runs, turned = self.timed.runs, self.turned
-        if self.timed.std:
-            found = with_late_pulses(found, [turned_later(run, self.diagram, self.timed.std) for run in runs])
-        if turned is None:
+        if self.turned is None:
             return found
-        return with_angle_errors(found, [with_angle_off(self.diagram, turned, run) for run in runs])
+        angle = OpenAngle(self.diagram, self.turned, self.timed.std)
+        return replace(found, robust=found.robust + angle.covariance(found.search, found.evaluation))
 
 
 def _estimated(diagram: Diagram, channels: Channels, timed: OnTime, near: Mapping[str, float]) -> TimeEstimate:

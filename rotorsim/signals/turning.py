@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from math import tau
 
 import numpy as np
-from numpy.polynomial import Chebyshev
-from scipy.interpolate import BSpline
 
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.recordings.recording import Recording, Run
-from rotorsim.signals.shaft_angle import TEETH, best_polynomial, pulses_of, run_up_in_words, shaft_angle
+from rotorsim.signals.pulse_curve import PulseCurve, curve_through
+from rotorsim.signals.shaft_angle import PHASE, TEETH, pulses_of, run_up_in_words, shaft_angle
 
 MARKS = 4  # in a turn, between which a recorded angle is smoothed for its derivatives
 LEAST_PULSES = 9  # for derivatives: fewer do not tell jitter from a change of speed
-DEGREE = 5  # of a spline: its acceleration is as smooth as a cubic spline
 MOST_WEIGHT = 10.0  # of a pulse, of that of the fastest: slower ones tell no more where the curve bends
 TURN_ROUNDING = 1e-9  # of a turn: a sample that far beyond a mark is at it
-DETERMINED = 1e-6  # of a coefficient of unit size: what pulses tell of it beside the others, at least
 NO_ANGLE = 'give "tacho": times of a once-per-turn pulse, or a channel of clock.theta'
 
 
@@ -34,36 +29,7 @@ class Turning:
     theta: np.ndarray
     speed: np.ndarray
     acceleration: np.ndarray
-    curve: Curve | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """An angle over time, sign sum_k a_k b_k(u), u = (t - centre) / half; by least squares, a (q,).
-
-    basis: u, order of the derivative -> (n, q). root (q, q): R R^T is the covariance of a, as the pulses scatter; the
-    bias of the least number of parts that the pulses allow is not in it.
-    reach: how far beyond the pulses it holds [rad].
-    """
-
-    basis: Callable[[np.ndarray, int], np.ndarray]
-    a: np.ndarray
-    root: np.ndarray
-    centre: float
-    half: float
-    reach: float
-    sign: float = 1.0
-
-    def __call__(self, time: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return the angle or a derivative by time at instants, (n,) [rad / s^order]."""
-        return np.asarray(self._at(time, order) @ self.a)
-
-    def errors(self, time: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return by how much independent errors of one standard deviation change it at instants, (n, q)."""
-        return np.asarray(self._at(time, order) @ self.root)
-
-    def _at(self, time: np.ndarray, order: int) -> np.ndarray:
-        return self.sign * self.basis((time - self.centre) / self.half, order) / self.half**order
+    curve: PulseCurve | None = None
 
 
 def is_run_up(recording: Recording, run: Run) -> bool:
@@ -81,12 +47,11 @@ def is_run_up(recording: Recording, run: Run) -> bool:
 def turning(recording: Recording, run: Run) -> Turning:
     """Return how the shaft turns through a run: a recorded angle as it is, else a smooth curve through the pulses.
 
-    The curve is the polynomial, or the quintic spline of 2, 4, 8, ... parts by least squares, that leaves least by the
-    Bayesian information criterion: once per turn the angle is known but for jitter, which is of time, so that slow
-    pulses weigh more. Its derivatives are the speed and the acceleration, of a recorded angle by its passages of every
-    quarter of a turn. Beyond the pulses a polynomial holds for one turn, a spline not at all.
+    The curve is a smoothing spline (`rotorsim.signals.pulse_curve`): once per turn the angle is known but for jitter,
+    which is of time, so that slow pulses weigh more. Its derivatives are the speed and the acceleration, of a recorded
+    angle by its passages of every quarter of a turn. Beyond the pulses it holds for one turn at most, as long as it is
+    known to a degree.
     Raises RotorsimError where nothing tells the angle of the shaft.
-    Source: G. Schwarz, Ann. Stat. 6 (1978) 461-464.
     """
     angle = shaft_angle(recording, run)
     if not angle.phase_known:
@@ -107,61 +72,21 @@ def turning(recording: Recording, run: Run) -> Turning:
     pulses, doubt, _ = pulses_of(recording, run)
     turns = tau * np.arange(len(pulses))
     curve = _through(pulses, turns, doubt, sign)
-    theta, speed, reach = sign * curve(time), sign * curve(time, 1), curve.reach + TURN_ROUNDING * tau
+    theta, speed, reach = sign * curve(time), sign * curve(time, 1), (1 + TURN_ROUNDING) * tau
+    outside = (time < pulses[0]) | (time > pulses[-1])
     beyond = (theta < -reach) | (theta > turns[-1] + reach) | ((time < pulses[0]) & (speed <= 0))
-    beyond |= ((time < pulses[0]) | (time > pulses[-1])) & (curve.reach == 0)
+    near = np.flatnonzero(outside & ~beyond)
+    beyond[near] = curve.std(time[near]) > PHASE
     theta, speed, acceleration = (np.where(beyond, np.nan, curve(time, order)) for order in range(3))
     return Turning(theta, speed, acceleration, curve)
 
 
-def _through(times: np.ndarray, turned: np.ndarray, doubt: float, sign: float) -> Curve:
+def _through(times: np.ndarray, turned: np.ndarray, doubt: float, sign: float) -> PulseCurve:
     """Return the curve through angles (n,) at times (n,) [s].
 
     doubt: standard deviation of the times [s].
     """
-    n, centre, half = len(times), float(times[-1] + times[0]) / 2, float(times[-1] - times[0]) / 2
-    u = np.clip((times - centre) / half, -1.0, 1.0)  # rounding
     speed = np.gradient(turned, times)
-    weight = float(speed.max()) / np.maximum(speed, speed.max() / MOST_WEIGHT)
-    least = max((TURN_ROUNDING * tau) ** 2, TEETH * (float(speed.max()) * doubt) ** 2)
-
-    def fitted(basis: Callable[[np.ndarray, int], np.ndarray]) -> tuple[float, Curve]:
-        B = basis(u, 0) * weight[:, None]
-        norm = np.linalg.norm(B, axis=0)
-        if not norm.all():
-            raise np.linalg.LinAlgError
-        Q, R = np.linalg.qr(B / norm)
-        if np.abs(np.diag(R)).min() < DETERMINED:
-            raise np.linalg.LinAlgError
-        a = np.linalg.solve(R, Q.T @ (turned * weight)) / norm
-        square = float(np.sum((turned * weight - B @ a) ** 2))
-        std = np.sqrt(max(square / max(n - len(a), 1), least))
-        curve = Curve(basis, a, std * np.linalg.inv(R) / norm[:, None], centre, half, 0.0, sign)
-        return n * float(np.log(max(square / n, least))) + len(a) * float(np.log(n)), curve
-
-    degree = best_polynomial(u, turned, least).degree()
-    best, curve = fitted(partial(_chebyshev, degree))
-    curve, parts = replace(curve, reach=tau), 2
-    while parts + DEGREE <= n // 2:
-        knots = np.concatenate([np.full(DEGREE, -1.0), np.linspace(-1, 1, parts + 1), np.full(DEGREE, 1.0)])
-        try:
-            value, trial = fitted(partial(_splines, knots))
-        except np.linalg.LinAlgError:  # a part without pulses: the speed is near zero there
-            break
-        if not np.isfinite(value):
-            break
-        if value < best:
-            best, curve = value, trial
-        parts *= 2
-    return curve
-
-
-def _chebyshev(degree: int, u: np.ndarray, order: int) -> np.ndarray:
-    """Return derivatives of the Chebyshev polynomials up to a degree, (n, degree + 1)."""
-    return np.stack([Chebyshev.basis(k).deriv(order)(u) for k in range(degree + 1)], axis=1)
-
-
-def _splines(knots: np.ndarray, u: np.ndarray, order: int) -> np.ndarray:
-    """Return derivatives of the B-splines of some knots, (n, k); what is beyond the knots goes on."""
-    count = len(knots) - DEGREE - 1
-    return np.asarray(BSpline(knots, np.eye(count), DEGREE)(u, order))
+    fastest = float(speed.max())
+    least = max((TURN_ROUNDING * tau) ** 2, TEETH * (fastest * doubt) ** 2)
+    return curve_through(times, turned, fastest / np.maximum(speed, fastest / MOST_WEIGHT), least, sign)

@@ -245,6 +245,9 @@ class Evidence(Protocol):
     def sharpened(self, fit: Fit, chosen: Sequence[Insertion]) -> tuple[Evidence, Fit]:
         """Return a fit with finer approximations of laws that follow the rate of samples, and the evidence for it."""
 
+    def widened(self, fit: Fit) -> Fit:
+        """Return a fit with what its covariance holds of nuisances that a whole run shares, as an open shaft angle."""
+
     def with_drift(self, variance: float = 1.0) -> Evidence | None:
         """Return the evidence with how 1X drifts within the runs, None where that is not asked.
 
@@ -343,6 +346,10 @@ class Defaults:
     def sharpened(self, fit: Fit, chosen: Sequence[Insertion]) -> tuple[Self, Fit]:
         """Return the fit: no law follows the rate of samples."""
         return self, fit
+
+    def widened(self, fit: Fit) -> Fit:
+        """Return the fit: its covariance holds all."""
+        return fit
 
     def with_drift(self, variance: float = 1.0) -> Evidence | None:
         """Return None: samples in time hold it, orders do not."""

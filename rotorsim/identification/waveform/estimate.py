@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +14,6 @@ from rotorsim.identification.left_out import Products
 from rotorsim.identification.waveform.evaluation import Evaluation, solved
 from rotorsim.identification.waveform.noise import INVERTED, goodness_left_out, products_of, robust_covariance
 from rotorsim.identification.waveform.noise_model import NoiseModel
-from rotorsim.identification.waveform.recorded.data import SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
 
 PART = 0.01  # of a direction that the data say nothing about: who takes part by more is not determined
@@ -174,47 +172,3 @@ def time_estimate(search: OutputErrorSearch, evaluation: Evaluation, noise: Nois
         noise.rows,
         goodness_left_out(left, noise.allowed),
     )
-
-
-def with_late_pulses(estimate: TimeEstimate, later: Sequence[SampledRun]) -> TimeEstimate:
-    """Return the estimate with the uncertainty of an angle that all runs have in common.
-
-    later: the runs with an angle one standard deviation off, which changes the gradient.
-    """
-    evaluation, search = estimate.evaluation, replace(estimate.search, runs=later)
-    return _uncertain(estimate, [search.evaluate(evaluation.unknowns, evaluation.sub).gradient - evaluation.gradient])
-
-
-def with_angle_errors(estimate: TimeEstimate, off: Sequence[Iterable[SampledRun]]) -> TimeEstimate:
-    """Return the estimate with the uncertainty of the angle that pulses leave open between them.
-
-    off: of each run, the run with an angle that is off by an error of one standard deviation, one after another: they
-    are independent. Each changes the simulated outputs by d and the gradient by J^T W d.
-    """
-    evaluation, search = estimate.evaluation, estimate.search
-    slopes: list[np.ndarray] = []
-    for r, others in enumerate(off):
-        known, own = np.isfinite(search.measured[0][r]), search.columns(0, r)
-        y, _ = search.simulated(evaluation.unknowns, 0, r, evaluation.sub, sensitivities=False)
-        weighted = search.root(0, r)[:, :, None] ** 2 * evaluation.jacobians[0][r]
-        for other in others:
-            there = replace(search, runs=[other if k == r else run for k, run in enumerate(search.runs)])
-            changed, _ = there.simulated(evaluation.unknowns, 0, r, evaluation.sub, sensitivities=False)
-            g = np.zeros(len(evaluation.unknowns))
-            g[own] = np.tensordot(weighted, search.runs[r].beside_lines(y - changed, known), axes=([0, 1], [0, 1]))
-            slopes.append(g)
-    return _uncertain(estimate, slopes) if slopes else estimate
-
-
-def _uncertain(estimate: TimeEstimate, changes: Sequence[np.ndarray]) -> TimeEstimate:
-    """Return the estimate with the covariance of independent errors, of one standard deviation each.
-
-    changes: of the gradient, g (q,), by each. The estimate goes by u = -H^-1 g with it, and u u^T is added to the
-    covariance: the scatter of stretches shows nothing of an error that a whole run shares.
-    """
-    evaluation = estimate.evaluation
-    searched = ~estimate.search.at_bound(evaluation.unknowns)
-    u = np.zeros((len(evaluation.unknowns), len(changes)))
-    H = evaluation.information[np.ix_(searched, searched)]
-    u[searched] = solved(H, np.stack(changes, axis=1)[searched], INVERTED)
-    return replace(estimate, robust=estimate.robust + u @ u.T)

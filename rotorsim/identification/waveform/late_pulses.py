@@ -18,12 +18,12 @@ from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.evaluation import Evaluation, solved
-from rotorsim.identification.waveform.hum import with_mains_hum
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import NoiseModel, noise_model
 from rotorsim.identification.waveform.recorded.along_angle import turned_later
 from rotorsim.identification.waveform.recorded.data import Channels, SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
+from rotorsim.identification.waveform.sensors import with_sensor_errors
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 
 LATE_PASSES = 2  # Gauss-Newton steps: what is left is of second order in an angle of a few degrees
@@ -50,8 +50,8 @@ def on_time(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], la
     """
     noise, shift, std = noise_model(diagram, channels, runs), 0.0, 0.0
     if {*clock_ports(diagram)} & {*channels.inputs}:
-        runs = with_mains_hum(diagram, channels, runs, noise)
-        noise = noise_model(diagram, channels, runs, noise) if any(run.lines for run in runs) else noise
+        runs = with_sensor_errors(diagram, channels, runs, noise)
+        noise = noise_model(diagram, channels, runs, noise) if any(run.nuisances is not None for run in runs) else noise
     if not late or not _shows(diagram, channels, runs, noise, late):
         return OnTime(tuple(runs), noise)
     for _ in range(LATE_PASSES):

@@ -228,9 +228,9 @@ class OutputErrorSearch:
         residuals: list[list[np.ndarray]] = [[] for _ in self.systems]
         jacobians: list[list[np.ndarray]] = [[] for _ in self.systems]
         for (k, r), (y, dy) in zip(self.pairs, self._simulations(unknowns, sub, sensitivities), strict=True):
-            known = np.isfinite(self.measured[k][r])
-            residuals[k].append(self.runs[r].beside_lines(self.measured[k][r] - y, known))
-            jacobians[k].append(self.runs[r].beside_lines(np.negative(dy, out=dy), known))
+            known, names = np.isfinite(self.measured[k][r]), self.systems[k].equations.outputs
+            residuals[k].append(self.runs[r].beside_nuisances(self.measured[k][r] - y, known, names))
+            jacobians[k].append(self.runs[r].beside_nuisances(np.negative(dy, out=dy), known, names))
             if not (np.isfinite(y).all() and np.isfinite(dy).all()):
                 return Evaluation(unknowns, sub)
         return self.summed(unknowns, sub, residuals, jacobians)

@@ -89,6 +89,19 @@ def ramp(first: float, last: float, duration: float, bent: float = 0.0) -> Angle
     return angle
 
 
+def held(angle: Angle, since: float) -> Angle:
+    """Return an angle that goes on at the speed it has at an instant."""
+    there = [float(part[0]) for part in angle(np.array([since]))]
+
+    def after(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        theta, speed, acceleration = angle(np.minimum(t, since))
+        late = t > since
+        theta = np.where(late, there[0] + there[1] * (t - since), theta)
+        return theta, speed, np.where(late, 0.0, acceleration)
+
+    return after
+
+
 def motion(machine: Machine, gains: Mapping[str, float], angle: Angle, t: np.ndarray) -> np.ndarray:
     """Return displacement and current [x, y, ix, iy] (n, 4) at even instants, settled at the speed of the first."""
     KP, KI, KD = gains.values()

@@ -12,16 +12,15 @@ from rotorsim.errors import Place, RotorsimError
 from rotorsim.identification.as_recorded import simulate_as_recorded
 from rotorsim.identification.identification import identify
 from rotorsim.identification.waveform.driven.equations import driven_equations
-from rotorsim.identification.waveform.estimate import time_estimate, with_angle_errors, with_late_pulses
 from rotorsim.identification.waveform.linearised import linearised, places_of
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import noise_model
+from rotorsim.identification.waveform.open_angle import MOST_ERRORS, changed_gradients, turned_off
 from rotorsim.identification.waveform.recorded.along_angle import (
     along_angle,
     is_in_time,
     turned_later,
     unused_channels,
-    with_angle_off,
     with_reaction,
 )
 from rotorsim.identification.waveform.recorded.data import Channels, SampledRun, channels_of
@@ -37,6 +36,7 @@ from tests.identification.waveform.run_up import (
     RATE,
     Machine,
     drawn,
+    held,
     pulses,
     ramp,
     recorded,
@@ -59,9 +59,12 @@ def test_the_angle_is_smoother_than_its_pulses():
     shaft, (theta, speed, acceleration) = turning(made, run), BENT(run.time)
     known = np.isfinite(shaft.theta)
     first, last = run.tacho[[0, -1]]
-    np.testing.assert_array_equal(known, (run.time >= first) & (run.time <= last))  # a spline ends at the pulses
+    inside = (run.time >= first) & (run.time <= last)
+    assert known[inside].all()
     off = (shaft.theta - theta)[known]
     off -= tau * np.round(off.mean() / tau)
+    assert np.abs(off).max() < np.radians(3.0)  # beyond the pulses it is known to one
+    off = off[inside[known]]
     assert np.sqrt(np.mean(off**2)) < JITTER * speed.mean()  # less than that of a pulse
     assert np.abs(shaft.speed - speed)[known].max() < 1e-3 * speed.max()
     assert np.sqrt(np.mean((shaft.acceleration - acceleration)[known] ** 2)) < 0.02 * acceleration.max()
@@ -137,6 +140,20 @@ def test_parameters_come_back_from_run_ups(seed):
 
 
 @pytest.mark.slow
+def test_parameters_come_back_from_a_ramp_that_ends_in_a_hold():
+    """FAULT: angles were off by radians, and the right diagram left 38 times the variance of the noise."""
+    machine = Machine()
+    up, down = held(ramp(500, 5600, 2.0), 1.5), held(ramp(5600, 800, 2.0), 1.7)
+    made = recording(recorded("up", machine, up, 2.0, 1), recorded("down", machine, down, 2.0, 2))
+    found = identify(load("jeffcott"), made)
+    assert found.adequate
+    for name, truth in machine.parameters.items():
+        one = found.parameters[name]
+        most = np.radians(0.5) if one.unit == "rad" else truth * (0.03 if "displacement" in name else 0.01)
+        assert abs(one.value - truth) < min(most, 4 * one.std), name
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("stamped", [np.ceil, np.floor])
 def test_sampled_pulses_are_late_alike(stamped):
     """FAULT: angles were 12 standard deviations off, and nothing said so: half a sample is 3.4 deg at the end."""
@@ -150,35 +167,18 @@ def test_sampled_pulses_are_late_alike(stamped):
         assert one.unit != "rad" or abs(one.value - truth) < np.radians(0.5), name
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("angle", "most"), [(ramp(600, 3000, 3.0), 1.4), (BENT, 2.0)])
-def test_an_angle_is_as_uncertain_as_its_pulses_make_it(angle, most):
-    """Squares of errors over their variance, at 20 instants of 40 draws: one on average.
-
-    Where the number of parts is the least that the pulses allow, its bias is as much again at most.
-    """
-    squares = []
-    for seed in range(40):
-        made, run = pulsed(angle, 3.0, seed + 1)
-        curve = turning(made, run).curve
-        at = np.linspace(*run.tacho[[0, -1]], 22)[1:-1]
-        off = curve(at) - angle(at)[0]
-        off -= tau * np.round(off.mean() / tau)
-        squares.append(off**2 / (curve.errors(at) ** 2).sum(axis=1))
-    assert 0.8 < np.mean(squares) < most
-
-
 def test_errors_of_an_angle_are_those_of_its_speed_and_acceleration():
     made, run = pulsed(BENT, 3.0)
     own = along_angle(load("jeffcott"), made).runs[0]
     known = np.isfinite(own.values["clock.theta"])
     sampled = SampledRun("up", own.values, {}, run.time, {}).part(np.flatnonzero(known))
-    off = list(with_angle_off(load("jeffcott"), made, sampled))
+    inside = (sampled.time > run.tacho[0]) & (sampled.time < run.tacho[-1])
     curve = turning(made, run).curve
-    assert len(off) == len(curve.a)
+    off = list(turned_off(load("jeffcott"), sampled, curve))
+    assert len(off) == min(curve.principal(sampled.time).root.shape[1], MOST_ERRORS)
     for other in off[:: len(off) // 3]:
         theta, speed = (other.values[name] - sampled.values[name] for name in ("clock.theta", "clock.speed"))
-        assert 0 < np.abs(theta).max() < 3 * JITTER * 600
+        assert 0 < np.abs(theta)[inside].max() < 3 * JITTER * 600
         np.testing.assert_allclose(np.gradient(theta, 1e-3)[2:-2], speed[2:-2], atol=2e-2 * np.abs(speed).max())
 
 
@@ -193,11 +193,11 @@ def test_an_angle_that_is_off_throughout_counts_as_late_pulses_do():
     search = OutputErrorSearch(subsystems_of(diagram, channels), runs, weights, noise.least)
     start = search.first(noise.starts)
     start[: search.m] = noise.theta
-    found = time_estimate(search, search.minimise(start), noise)
+    found = search.minimise(start)
     later = [turned_later(run, diagram, 1e-6) for run in runs]
-    added = [one.robust - found.robust for one in (with_late_pulses(found, later), with_angle_errors(found, [later]))]
-    scale = np.sqrt(np.diag(added[0])[: search.m])
-    np.testing.assert_allclose(np.sqrt(np.diag(added[1])[: search.m]), scale, rtol=0.02)
+    own = replace(search, runs=later).evaluate(found.unknowns, found.sub).gradient - found.gradient
+    other = sum(g for r, run in enumerate(later) for g in changed_gradients(search, found, r, [run]))
+    np.testing.assert_allclose(other[: search.m], own[: search.m], rtol=0.05, atol=0.02 * np.abs(own).max())
 
 
 def test_a_measured_speed_beside_the_angle_is_said_not_to_be_used():

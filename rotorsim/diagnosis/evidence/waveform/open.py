@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from rotorsim.criteria import CRITERIA
 from rotorsim.diagnosis.catalogue.catalogue import Catalogue
@@ -16,8 +17,8 @@ from rotorsim.diagnosis.evidence.waveform.turning import TurningEvidence
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
 from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
-from rotorsim.identification.waveform.hum import with_mains_hum
 from rotorsim.identification.waveform.late_pulses import on_time
+from rotorsim.identification.waveform.open_angle import OpenAngle
 from rotorsim.identification.waveform.parts import parts_of
 from rotorsim.identification.waveform.recorded.along_angle import (
     along_angle,
@@ -29,6 +30,7 @@ from rotorsim.identification.waveform.recorded.along_angle import (
 )
 from rotorsim.identification.waveform.recorded.data import channels_of, chosen_runs
 from rotorsim.identification.waveform.recorded.reading import marked, notes_of, read_runs
+from rotorsim.identification.waveform.sensors import with_sensor_errors
 from rotorsim.recordings.recording import Recording
 
 
@@ -87,7 +89,7 @@ def waveform_evidence(
     Raises RotorsimError with all that does not fit, and where the diagram diverges when it is driven as recorded.
     """
     turns, late = turns_as_recorded(diagram, recording), lateness(recording)
-    recording = along_angle(diagram, recording)
+    as_turned, recording = recording, along_angle(diagram, recording)
     hold_out = None if hold_out is None else along_angle(diagram, hold_out)
     channels = channels_of(diagram, recording)
     runs = read_runs(diagram, chosen_runs(recording), channels)
@@ -96,9 +98,10 @@ def waveform_evidence(
     timed = on_time(diagram, channels, runs, late)
     runs, noise = timed.runs, timed.noise
     held_out = tuple(turned_later(run, diagram, timed.shift) for run in read_runs(diagram, held, channels))
-    held_out = with_mains_hum(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
+    held_out = with_sensor_errors(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
     parts, part_starts = parts_of(diagram, channels, runs, noise) if turns else ((), {})
-    return (TurningEvidence if turns else WaveformEvidence)(
+    kind = partial(TurningEvidence, angle=OpenAngle(diagram, as_turned, timed.std)) if turns else WaveformEvidence
+    return kind(
         channels=channels,
         folder=diagram.folder,
         trust_blocks=trust_blocks,

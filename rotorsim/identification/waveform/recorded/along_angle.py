@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -102,21 +102,6 @@ def unused_channels(diagram: Diagram, recording: Recording) -> list[Problem]:
         for column, channel in recording.channels.items()
         if channel.signal in ports
     ]
-
-
-def with_angle_off(diagram: Diagram, recording: Recording, run: SampledRun) -> Iterator[SampledRun]:
-    """Yield a run whose angle is off by one standard deviation of what its pulses leave open, direction by direction.
-
-    Neighbouring pulses share what they leave open; none where the angle itself was recorded.
-    """
-    whole = next((own for own in recording.runs if run.id == own.id or run.id.startswith(f"{own.id} from ")), None)
-    curve = None if whole is None else turning(recording, whole).curve
-    if curve is None:
-        return
-    off = {unit: curve.errors(run.time, k) for k, unit in enumerate(ANGLE_UNITS)}
-    ports = [(port, off[port.rpartition(".")[2]]) for port in clock_ports(diagram) if port in run.values]
-    for k in range(curve.root.shape[1]):
-        yield replace(run, values={**run.values, **{port: run.values[port] + error[:, k] for port, error in ports}})
 
 
 def lateness(recording: Recording) -> float:

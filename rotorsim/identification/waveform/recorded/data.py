@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from math import tau
 from typing import Any
@@ -35,7 +35,7 @@ class Channels:
     """Recorded signals by flat name: inputs drive the diagram, outputs are what it predicts.
 
     columns: name -> column of the data. kinds: of each input, how it goes on between samples. gappy: outputs of which
-    samples are missing in some run. fastest: see `DrivenEquations`.
+    samples are missing in some run. fastest: see `DrivenEquations`. floating: outputs whose mean means nothing.
     """
 
     inputs: tuple[str, ...]
@@ -44,13 +44,15 @@ class Channels:
     kinds: Mapping[str, str]
     gappy: frozenset[str] = frozenset()
     fastest: float | None = None
+    floating: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
 class SampledRun:
     """Samples of one run: values {flat name: (N,)}, SI, at instants time (N,) [s]; NaN where an output is missing.
 
-    notes: what of the recording is not used, or was filled in. lines: frequencies [Hz] of hum, free in each output.
+    notes: what of the recording is not used, or was filled in. Free in each output are lines, frequencies [Hz] of hum,
+    and a drift that grows evenly from an instant drift_since [s] on; of floating outputs the mean is.
     """
 
     id: str
@@ -60,11 +62,14 @@ class SampledRun:
     settings: Mapping[str, Any]
     notes: tuple[Problem, ...] = ()
     lines: tuple[float, ...] = ()
+    drift_since: float | None = None
+    floating: frozenset[str] = frozenset()
     _inputs: dict[tuple[tuple[str, ...], int], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle without what can be computed again."""
-        return SampledRun, (self.id, self.values, self.kinds, self.time, self.settings, self.notes, self.lines)
+        kept = (item.name for item in fields(self) if item.init)
+        return SampledRun, tuple(getattr(self, name) for name in kept)
 
     def first(self, count: int) -> SampledRun:
         """Return the run up to a number of samples."""
@@ -103,32 +108,34 @@ class SampledRun:
         return np.asarray(np.isfinite(outputs).any(axis=0)) if outputs else np.zeros(self.size, bool)
 
     @cached_property
-    def line_basis(self) -> np.ndarray | None:
-        """Orthonormal sines and cosines of the lines, (N, 2 L); None without any that a run so short tells."""
+    def nuisances(self) -> np.ndarray | None:
+        """Orthonormal signals that each output may have besides, (N, b); None without any that a run so short tells."""
         told = [line for line in self.lines if line * self.dt * self.size >= LINE_PERIODS]
-        if not told:
-            return None
         angle = tau * np.outer(self.time - self.start, told)
-        return np.asarray(np.linalg.qr(np.concatenate([np.cos(angle), np.sin(angle)], axis=1))[0])
+        drift = () if self.drift_since is None else (self.time[:, None] - self.drift_since,)
+        basis = np.concatenate([*drift, np.cos(angle), np.sin(angle)], axis=1)
+        return np.linalg.qr(basis)[0] if basis.shape[1] else None
 
-    def beside_lines(self, y: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Return signals (N, c, ...) less their lines, by least squares on the samples that are known (N, c).
+    def beside_nuisances(self, y: np.ndarray, known: np.ndarray, names: Sequence[str]) -> np.ndarray:
+        """Return signals (N, c, ...) of names less their nuisances, by least squares on known samples (N, c).
 
         Where all are, the signals themselves may be changed: they are large.
         """
-        if (basis := self.line_basis) is None:
+        basis, floats = self.nuisances, np.array([name in self.floating for name in names])
+        if basis is None and not floats.any():
             return y
+        basis = np.zeros((self.size, 0)) if basis is None else basis
         flat = y.reshape(self.size, y.shape[1], -1)
-        if known.all():
+        if known.all() and not floats.any():
             columns = flat.reshape(self.size, -1)
-            lines = basis.T @ columns
+            parts = basis.T @ columns
             for a in range(0, self.size, BLOCK_ROWS):
-                columns[a : a + BLOCK_ROWS] -= basis[a : a + BLOCK_ROWS] @ lines
+                columns[a : a + BLOCK_ROWS] -= basis[a : a + BLOCK_ROWS] @ parts
             return columns.reshape(y.shape)
-        out = flat.copy()
+        out, with_mean = flat.copy(), np.column_stack([np.ones(self.size), basis])
         for c, there in enumerate(known.T):
-            own = np.linalg.lstsq(basis[there], flat[there, c], rcond=None)[0]
-            out[:, c] -= basis @ own
+            free = with_mean if floats[c] else basis
+            out[:, c] -= free @ np.linalg.lstsq(free[there], flat[there, c], rcond=None)[0]
         return out.reshape(y.shape)
 
     def measured(self, names: Sequence[str]) -> np.ndarray:
@@ -223,7 +230,8 @@ def channels_of(diagram: Diagram, recording: Recording) -> Channels:
         problems.append(Problem(what, recording.name, hint=hint))
     if problems:
         raise RotorsimError(*problems)
-    return Channels(tuple(kinds), tuple(outputs), columns, kinds)
+    floating = frozenset(name for name in outputs if recording.channels[columns[name]].coupling == "ac")
+    return Channels(tuple(kinds), tuple(outputs), columns, kinds, floating=floating)
 
 
 def signal_name(model: Model, channel: Channel) -> str:

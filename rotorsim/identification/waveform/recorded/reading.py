@@ -87,7 +87,8 @@ def _read(diagram: Diagram, run: Run, channels: Channels) -> tuple[SampledRun, .
     values = {name: np.full(len(instants), np.nan) for name in channels.columns}
     for name, samples in known.items():
         values[name][recorded] = np.where(np.isfinite(samples), samples, np.nan)
-    whole = SampledRun(run.id, values, channels.kinds, instants if even is None else even, settings)
+    instants = instants if even is None else even
+    whole = SampledRun(run.id, values, channels.kinds, instants, settings, floating=channels.floating)
     return tuple(_in_parts(whole, run, channels, recorded))
 
 

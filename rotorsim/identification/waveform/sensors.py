@@ -1,8 +1,9 @@
-"""Mains hum in the sensors of a shaft that turns: lines of fixed frequency, fitted beside the motion in every run.
+"""What the sensors of a shaft that turns add to its motion: hum and drift, fitted beside it in every run.
 
 At steady speeds a line is told from harmonics by its frequency (`rotorsim.signals.pickup`). Where the speed changes,
 motion passes each frequency in a moment, and a line is what stands out of its neighbourhood in the spectrum of the
-residual. Sine and cosine are free in each channel and run: residuals and sensitivities are taken beside them.
+residual. Sine and cosine are free in each channel and run, and so is a drift that grows from the first sample on:
+residuals and sensitivities are taken beside them.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import t as student
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
 from rotorsim.identification.waveform.noise_model import NoiseModel
@@ -20,11 +23,13 @@ from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.signals.pickup import mains_lines
 
+DRIFT_PARTS = 16  # of a run, whose means scatter: slow noise makes them scatter more
 
-def with_mains_hum(
+
+def with_sensor_errors(
     diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], noise: NoiseModel, *, known: bool = True
 ) -> tuple[SampledRun, ...]:
-    """Return runs with the lines of the mains that their residual shows, and a note on them.
+    """Return runs with the lines of the mains and the drift that their residual shows, and notes on them.
 
     known: whether the runs are those of the noise, with its starts.
     """
@@ -37,7 +42,8 @@ def with_mains_hum(
     if not np.isfinite(here.cost):
         return tuple(runs)
     pairs = zip(runs, here.residuals[0], strict=True)
-    return tuple(_with_lines(run, np.nan_to_num(left), whole.equations.outputs) for run, left in pairs)
+    names = whole.equations.outputs
+    return tuple(with_drift(_with_lines(run, np.nan_to_num(left), names), left, names) for run, left in pairs)
 
 
 def _with_lines(run: SampledRun, residual: np.ndarray, names: Sequence[str]) -> SampledRun:
@@ -47,7 +53,7 @@ def _with_lines(run: SampledRun, residual: np.ndarray, names: Sequence[str]) -> 
     if not found:
         return run
     with_lines = replace(run, lines=tuple(found))
-    basis = with_lines.line_basis
+    basis = with_lines.nuisances
     assert basis is not None
     amplitude = np.sqrt(2 * ((basis.T @ residual) ** 2).sum(axis=0) / run.size)
     largest = int(np.argmax(amplitude / np.sqrt((residual**2).mean(axis=0) + 1e-300)))
@@ -55,3 +61,25 @@ def _with_lines(run: SampledRun, residual: np.ndarray, names: Sequence[str]) -> 
     what += f": {amplitude[largest]:.2g} in {names[largest]} (SI, 0-peak)"
     note = Problem(what, f"run {run.id}", severity="warning", code="mains_hum")
     return replace(with_lines, notes=(*run.notes, note))
+
+
+def with_drift(run: SampledRun, residual: np.ndarray, names: Sequence[str]) -> SampledRun:
+    """Return a run whose residual (N, c) drifts with a drift, where means of its parts do not scatter by as much."""
+    parts = np.array_split(np.arange(run.size), DRIFT_PARTS)
+    if run.size < DRIFT_PARTS or not all(np.isfinite(residual[part]).any(axis=0).all() for part in parts):
+        return run
+    means = np.stack([np.nanmean(residual[part], axis=0) for part in parts])
+    time = np.array([run.time[part].mean() for part in parts])
+    since = time - time.mean()
+    slope = since @ means / (since @ since)
+    left = means - means.mean(axis=0) - np.outer(since, slope)
+    freedom = DRIFT_PARTS - 2
+    std = np.sqrt((left**2).sum(axis=0) / freedom / (since @ since))
+    chance = 2 * student.sf(np.abs(slope) / np.maximum(std, np.finfo(float).tiny), freedom)
+    if chance.min() >= CRITERIA.drift:
+        return run
+    most = int(np.argmin(chance))
+    size = slope[most] * (run.time[-1] - run.start)
+    what = f"a drift is fitted beside the motion: {size:.2g} in {names[most]} (SI, over the run)"
+    note = Problem(what, f"run {run.id}", severity="warning", code="sensor_drift")
+    return replace(run, drift_since=run.start, notes=(*run.notes, note))
