@@ -27,7 +27,7 @@ from rotorsim.diagnosis.search.promises import (
     likely_of,
     still_likely,
 )
-from rotorsim.diagnosis.search.screening import Screening
+from rotorsim.diagnosis.search.screening import ALIKE, Screening, is_alike
 from rotorsim.diagnosis.search.starts import with_near
 from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.diagram.diagram import Free
@@ -262,6 +262,40 @@ def test_another_measure_of_the_noise_looks_again_at_what_promised_within_ten_ti
     found = [placed("lag", spot) for spot in ("best", "within", "beyond", "unknown")]
     promises = [Promise(2e4), Promise(1.9e5), Promise(2.1e5), None]
     assert likely_of(found, promises, left(1e6)) == {"lag@best", "lag@within", "lag@unknown"}
+
+
+def test_promises_hold_where_another_measure_of_the_noise_weighs_signals_alike():
+    """Within a factor of four between two signals, whatever they are together: they are shares of the misfit."""
+    assert ALIKE == 4.0
+    one = {"x": 1e-12, "y": 2.0}
+    assert is_alike(one, {"x": 9e-12, "y": 18.0})
+    assert is_alike(one, {"x": 3.9e-12, "y": 2.0})
+    assert not is_alike(one, {"x": 4.1e-12, "y": 2.0})
+    assert not is_alike(one, {"x": 1e-12})
+    assert not is_alike({}, {})  # no noise is measured: promises may differ for any other reason
+
+
+def test_what_was_promised_is_not_simulated_again():
+    """But what is new: beside the same diagram, the noise measured once more."""
+    found, asked = [placed("lag", spot) for spot in ("best", "worse", "new")], []
+
+    def promises(jobs):
+        asked.extend(jobs[1:])
+        return [100.0, *[60.0] * len(jobs[1:])]
+
+    evidence = SimpleNamespace(costly=True, weighed_by={"x": 2.0})
+    screening = Screening(evidence, SimpleNamespace(promises=promises))
+    shares, known = {"lag@best": 0.1, "lag@worse": 0.5}, frozenset(item.key for item in found)
+    earlier = Round(left(50.0), (), likely=known, shares=shares, weighed_by={"x": 1.0})
+    before = replace(left(80.0), document={"blocks": {}})
+    given = before, found, ["best", "worse", "new"], None
+    told = screening.screened(*given, earlier).promises
+    assert asked == ["new"]
+    assert [one.misfit for one in told] == pytest.approx(
+        [before.misfit * 0.1, before.misfit * 0.5, before.misfit - 40.0]
+    )
+    screening.screened(*given, replace(earlier, weighed_by={"x": 1.0, "y": 1.0}))
+    assert asked == ["new", "best", "worse", "new"]
 
 
 def test_with_another_noise_fits_say_more_than_promises():

@@ -182,6 +182,10 @@ class Evidence(Protocol):
         """Whether fits take so long that only laws that promise most are fitted."""
 
     @property
+    def weighed_by(self) -> Mapping[Any, float]:
+        """The variance of the noise of each signal, by which promises of laws weigh them; empty where it is known."""
+
+    @property
     def unjudged(self) -> str:
         """Why structure of the residual would not show, so that nothing is `consistent`; empty: it would."""
 
@@ -281,6 +285,11 @@ class Defaults:
 
     independent = True
     costly = False
+
+    @property
+    def weighed_by(self) -> Mapping[Any, float]:
+        """Nothing: it is known, and stays."""
+        return {}
 
     @property
     def unjudged(self) -> str:

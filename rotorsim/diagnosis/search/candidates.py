@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -98,7 +98,8 @@ class Round:
     hypotheses: how many, physics and places, were looked at, with those of which too little was promised to try them.
     elsewhere: what was not tried, and promises nearly as much as the same law does at its best place; untried: all that
     was not, where promises of laws are known. likely: the keys of what another measure of the noise may make the most
-    promising, None where promises are not known. excluded: what leaves too much by linear theory of its law.
+    promising, None where promises are not known. excluded: what leaves too much by linear theory of its law. shares:
+    what was promised, by key, as a share of what the diagram leaves; weighed_by: the noise by which it was.
     """
 
     before: Fit
@@ -109,6 +110,8 @@ class Round:
     untried: tuple[tuple[Insertion, Job], ...] = ()
     likely: frozenset[str] | None = None
     excluded: tuple[tuple[Insertion, Promise], ...] = ()
+    shares: Mapping[str, float] = field(default_factory=dict)
+    weighed_by: Mapping[Any, float] = field(default_factory=dict)
 
     @property
     def best(self) -> Candidate | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,16 @@ MOST_FITS = 90  # in one round; places beyond are screened
 # times the least misfit that any place allows: places that allow no less are not looked at. The bound is that of free
 # harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
 POSSIBLE = 10.0
+ALIKE = 4.0  # ratio of the noise of two signals by two measures: a promise may be off by its root, as linear theory is
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
+
+
+def is_alike(one: Mapping[Any, float], other: Mapping[Any, float]) -> bool:
+    """Return whether two measures of the noise weigh signals alike: promises are the same shares of a misfit."""
+    if not one or one.keys() != other.keys():
+        return False
+    ratio = [one[signal] / other[signal] for signal in one]
+    return max(ratio) <= ALIKE * min(ratio)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +84,13 @@ class Screening:
             kept = [*best, *(others[k] for k in likely)]
             return Screened(kept, unknown, unknown, {k: one for k, one in laws.items() if k in kept}, elsewhere)
         known = None if earlier is None else earlier.likely
-        looked_at = [k for k, item in enumerate(candidates) if known is None or item.key in known]
-        promises: list[Promise | None] = [Promise(np.inf)] * len(candidates)
+        shares = {} if earlier is None or not is_alike(earlier.weighed_by, self.evidence.weighed_by) else earlier.shares
+        promises: list[Promise | None] = [
+            Promise(before.misfit * shares[item.key] if item.key in shares else np.inf) for item in candidates
+        ]
+        looked_at = [
+            k for k, item in enumerate(candidates) if item.key not in shares and (known is None or item.key in known)
+        ]
         if self.evidence.costly or places is None:
             found = self._by_sensitivities(before, [jobs[k] for k in looked_at])
         else:

@@ -87,9 +87,10 @@ class Trials:
         """Try every insertion into a fitted diagram; beside an effect, few of those that will never be one more."""
         document, largest = values_in(before.document, before.values), self.evidence.largest()
         earlier = self.rounds.get(structure_of(before.document))
-        again = {} if earlier is None else earlier.worth_again(AGAIN)
+        again = {} if earlier is None else earlier.worth_again(len(earlier.tried) if self.evidence.costly else AGAIN)
         found = self._candidates(before, document)
         self.counts["rounds"] += 1
+        every = found
         hypotheses = len({(item.physics, item.spot) for item in found})
         many = len(found) > MOST_FITS or self.evidence.costly or any(item.fault.enters == "signal" for item in found)
         places = self.evidence.bounds(before) if many else None
@@ -165,7 +166,9 @@ class Trials:
         likely = None if likely is None else still_likely(likely, tried)
         ordered = tuple(simplest_first(tried, self.slack))
         places_of = tuple(classes), hypotheses, tuple(elsewhere), tuple(untried), likely
-        return self._kept(Round(before, ordered, *places_of, excluded))
+        given = zip(every, screened.promises, strict=True) if self.evidence.costly else ()
+        shares = {item.key: one.misfit / before.misfit for item, one in given if one is not None}
+        return self._kept(Round(before, ordered, *places_of, excluded, shares, self.evidence.weighed_by))
 
     def _kept(self, found: Round) -> Round:
         self.rounds[structure_of(found.before.document)] = found
@@ -306,6 +309,8 @@ class Trials:
                     best_of.setdefault(laws[k], k)
                 self._again(jobs, fits, [k for k in best_of.values() if is_slow(fits[k], slow)], SECOND_EVALUATIONS)
             order = [k for k in by_misfit(fits) if fits[k].misfit < RIVAL_MISFIT * least and not is_slow(fits[k], slow)]
+            if self.evidence.costly:  # what explains too little after its first steps is no rival, nonlinear or not
+                order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit <= slow]
         else:
             most = min(PROMISING * before.misfit, RIVAL_MISFIT * min((fits[k].misfit for k in order), default=np.inf))
             order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit < most]

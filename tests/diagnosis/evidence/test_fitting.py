@@ -23,7 +23,7 @@ from rotorsim.diagnosis.search.candidates import Candidate, Round
 from rotorsim.diagnosis.search.screening import Screening
 from rotorsim.diagnosis.search.selection import least_gain
 from rotorsim.diagnosis.search.starts import off_bounds
-from rotorsim.diagnosis.search.trials import SECOND_EVALUATIONS, Trials
+from rotorsim.diagnosis.search.trials import REFINED, SECOND_EVALUATIONS, Trials
 from rotorsim.diagram.diagram import Free
 from rotorsim.diagram.resolve.resolution import shipped_diagrams
 from rotorsim.identification.harmonic.coordinates import Coordinates
@@ -92,15 +92,16 @@ def test_a_nonlinear_law_that_began_too_far_away_is_carried_on():
         adequate = 0.5 if times < 1.2 else 0.0
         return Fit({}, misfit=times * 1000, rows=1000, equations=1000, goodness=adequate, nonlinear=nonlinear)
 
-    def refined(before: float, fits: list[Fit], reached: list[float]) -> list[tuple[int, int | None]]:
-        trials, asked, ends = Trials(None, Catalogue(), Jobs()), [], iter(reached)
+    def refined(before: float, fits: list[Fit], reached: list[float], costly=False) -> list[tuple[int, int | None]]:
+        trials, asked, ends = Trials(SimpleNamespace(costly=costly), Catalogue(), Jobs()), [], iter(reached)
 
         def fit(jobs: list, effort: Effort) -> list[Fit]:
             asked.append((len(jobs), effort.most))
             return [left(next(ends)) for _ in jobs]
 
         trials._fit = fit
-        trials._refined(left(before), [({"blocks": {}}, [])] * len(fits), fits, [("law", k) for k in range(len(fits))])
+        laws = [("law", k) for k in range(len(fits))]
+        trials._refined(left(before), [({"blocks": {}}, [])] * len(fits), [*fits], laws)
         return asked
 
     explains, far, idle = left(1.04, nonlinear=False), left(1100.0), left(4.4)
@@ -108,6 +109,10 @@ def test_a_nonlinear_law_that_began_too_far_away_is_carried_on():
     assert refined(4.5, [explains, far, idle], [4.3, 4.2, 1.0]) == [(2, SECOND_EVALUATIONS), (1, None)]
     assert refined(4.5, [explains, left(4.4, nonlinear=False)], [1.0, 4.4]) == [(0, SECOND_EVALUATIONS), (2, None)]
     assert refined(4500.0, [explains, far], [1.0]) == [(1, None)]  # no rival: so much was to explain
+    # where fits take long, not what a linear law leaves of a tenth of what the best explains, but for the best three
+    many = [explains, *[left(2.0, nonlinear=False)] * (REFINED - 1), *[left(4.2, nonlinear=False)] * 2]
+    assert refined(4.5, many, [1.0] * 30) == [(0, SECOND_EVALUATIONS), (REFINED + 2, None)]
+    assert refined(4.5, many, [1.0] * 30, costly=True) == [(0, SECOND_EVALUATIONS), (REFINED, None)]
 
 
 def candidate(

@@ -11,6 +11,7 @@ from rotorsim.diagnosis.catalogue.values import values_in
 from rotorsim.diagnosis.evidence.evidence import Terms
 from rotorsim.diagnosis.evidence.fit import Fit
 from rotorsim.diagnosis.evidence.waveform.evidence import WaveformEvidence
+from rotorsim.identification.waveform.noise import Variance
 from rotorsim.identification.waveform.open_angle import OpenAngle
 
 TURNING_TERMS = Terms(
@@ -29,6 +30,11 @@ class TurningEvidence(WaveformEvidence):
 
     terms = TURNING_TERMS
     costly = True
+
+    @property
+    def weighed_by(self) -> Variance:
+        """The variance of the noise of each signal."""
+        return self.variance
 
     def widened(self, fit: Fit) -> Fit:
         """Return a fit whose covariance holds what pulses leave open of the angle, too."""
