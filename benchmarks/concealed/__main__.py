@@ -29,7 +29,8 @@ def _make(arguments: argparse.Namespace) -> int:
     if wrong:
         raise ValueError(f"--nuisances: no {', '.join(wrong)}; hint: all, or of {', '.join(NUISANCES)}")
     folder = Path(arguments.folder)
-    jobs = sets.plan(folder, arguments.instances, arguments.seed, arguments.kind, arguments.machine, only, nuisances)
+    drawn = arguments.seed, arguments.kind, arguments.machine, only, nuisances, arguments.ramps
+    jobs = sets.plan(folder, arguments.instances, *drawn)
     done = sets.make(jobs, arguments.processes)
     if arguments.json:
         print(json.dumps(done, indent=1))
@@ -122,6 +123,7 @@ def main(arguments: list[str] | None = None) -> int:
     make.add_argument("--machine", default="both", choices=machines, help="beams: the last three in turn")
     make.add_argument("--rows", default="", help="only these rows or laws, by commas")
     make.add_argument("--nuisances", default="", help="defects of the measuring chain, by commas, or all")
+    make.add_argument("--ramps", action="store_true", help="run-ups and coast-downs instead of constant speeds")
     make.add_argument("--processes", type=int, default=2)
     make.set_defaults(do=_make)
     run = verbs.add_parser("run", help="run rotorsim diagnose on each case that has no diagnosis yet")

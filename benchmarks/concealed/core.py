@@ -29,8 +29,9 @@ class Core:
     X = (q, q', int z_s of each bearing, states of its current path), behind it conj(X) and conj(inputs) if the machine
     is anisotropic, and free integrators at the end. Inputs by name: `f3`, `m3` force and moment at node 3, `e`, `edot`
     what the probe of the first controller adds and its rate, `e2`, `edot2` of the second, `base` acceleration of the
-    base, `aux0` the rate of the first free integrator. Outputs: `z3`, `v3` displacement and velocity at node 3, `p3`
-    what the probe at node 3 sees, `command` and `i` the current before and behind the path, `command2`, `i2`, `aux0`.
+    base, `aux0` the rate of the first free integrator. Outputs: `z3`, `v3` displacement and velocity at node 3, `w3`
+    the rate of its tilt, `p3` what the probe at node 3 sees, `command` and `i` the current before and behind the path,
+    `command2`, `i2`, `aux0`.
     """
 
     def __init__(self, plant: Plant, speed: float, integrators: int = 0) -> None:
@@ -154,6 +155,8 @@ class Core:
             c[self.states + number] = 1.0
         elif kind == "p":
             c[:n] = plant.probes[number]
+        elif kind == "w":
+            c[n + plant.tilt[number]] = 1.0
         else:
             c[plant.displacement[number] + (n if kind == "v" else 0)] = 1.0
         return c

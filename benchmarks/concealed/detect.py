@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from benchmarks.concealed.healthy import ORDERS, Healthy
 from benchmarks.concealed.machines import FREE
 from benchmarks.concealed.measuring import Instruments
-from benchmarks.concealed.simulate import Motion, Run
+from benchmarks.concealed.simulate import Motion, Run, Simulation
 
 Array = NDArray[Any]
 
 STEPS = 6
 TRIALS = 40
+RATE = 5000.0
 BY_HALVED_STEPS = ("jeffcott", "fe_rigid")  # their sets were made so
 
 
@@ -65,6 +66,40 @@ def detectability(
     samples = len(lanes) * len(t) * 2 * currents.count(False)
     grain = coarse**2 / 12 / instruments.noise[0] ** 2
     return float(np.sqrt(max(beyond, 0.0) + left + samples / 2 * grain**2))
+
+
+def along_ramps(
+    machine: str,
+    parameters: dict[str, float],
+    runs: list[Run],
+    lifted: float,
+    healthy: Motion,
+    faulty: Motion,
+    instruments: Instruments,
+    coarse: float,
+) -> float:
+    """Return D along run-ups: one step of the free parameters, by differences of simulations."""
+    lanes = [k for k, run in enumerate(runs) if run.use == "identify"]
+
+    def seen(motion: Motion) -> Array:
+        signals = [
+            motion.signals[name][lanes] / instruments.noise[int(name.startswith("current"))] for name in motion.signals
+        ]
+        values = np.concatenate([signal.ravel() for signal in signals])
+        return np.concatenate([values.real, values.imag])
+
+    here, columns = seen(healthy), []
+    for name in FREE[machine]:
+        size = 1e-4 * (1.0 if _is_angle(name) else abs(parameters[name]))
+        moved = Simulation(machine, parameters | {name: parameters[name] + size}, runs, RATE, lifted=lifted).run()
+        columns.append(seen(moved) - here)
+    J = np.stack(columns, axis=1)
+    J /= np.sqrt((J**2).sum(axis=0))
+    wanted = seen(faulty) - here
+    left = wanted - J @ np.linalg.lstsq(J, wanted, rcond=1e-9)[0]
+    samples = len(here) * sum(not name.startswith("current") for name in healthy.signals) / len(healthy.signals)
+    grain = coarse**2 / 12 / instruments.noise[0] ** 2
+    return float(np.sqrt(left @ left + samples / 2 * grain**2))
 
 
 def _is_angle(name: str) -> bool:

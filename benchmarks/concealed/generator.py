@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.concealed.detect import detectability
+from benchmarks.concealed.detect import RATE, along_ramps, detectability
 from benchmarks.concealed.machines import DRAWN, GAINS, MACHINES, PLAIN
 from benchmarks.concealed.measuring import Instruments, draw_instruments
 from benchmarks.concealed.plant import Gains
@@ -17,11 +17,14 @@ from benchmarks.concealed.simulate import Motion, Run, Simulation
 
 _ = (loop, mechanical, outside, sensors)  # they enter their rows
 
-RATE = 5000.0
 KINDS = ("nothing", "one", "two", "alias", "outside")
 MIX = (0.15, 0.50, 0.12, 0.08, 0.15)
 LEAST, LEAST_BEAM = 10.0, 15.0  # detectability below which a fault is drawn again, larger
 LIMIT = 4e-4  # m: a machine that moves more is drawn again
+STEP = 4 / RATE  # s, of the simulation: speeds have their corners between two
+RAMP_STEPS, RAMP_LOW, RAMP_HIGH = (8000, 9501), (6.0, 12.0), (70.0, 95.0)  # steps of a run; Hz
+
+STEADY = ("internal_damping", "hysteretic_damping", "speed_fluctuation", "torsion_coupling")  # at constant speed only
 
 SPEEDS = {  # Hz: with gains A, with gains B; held out with gains A, with gains C
     "jeffcott": ((2, 15, 20, 25, 30, 40, 55, 70), (25, 55), (35, 85, 100), (45, 80)),
@@ -127,6 +130,25 @@ def draw_runs(rng: np.random.Generator, machine: str) -> list[Run]:
     return runs
 
 
+def draw_run_ups(rng: np.random.Generator, machine: str) -> list[Run]:
+    """Draw a run-up, a coast-down and a run-up with other gains; to hold out, a run-up with a third set and one down.
+
+    One of the first three holds its last speed for a while; which one, and how long, at random.
+    """
+    gains = draw_gains(rng, machine)
+    samples, held = 4 * int(rng.integers(*RAMP_STEPS)), int(rng.integers(3))
+    runs = []
+    for number, (label, up) in enumerate((("A", True), ("A", False), ("B", True), ("C", True), ("A", False))):
+        low, high = rng.uniform(*RAMP_LOW), rng.uniform(*RAMP_HIGH)
+        ramp = STEP * int(samples / 4 * rng.uniform(0.6, 0.9)) if number == held else samples / RATE
+        first, last = (low, high) if up else (high, low)
+        acceleration, start = 2 * np.pi * (last - first) / ramp, float(rng.uniform(0, 2 * np.pi))
+        use = "identify" if number < 3 else "hold_out"
+        ends = float(ramp) if number == held else np.inf
+        runs.append(Run(2 * np.pi * first, start, gains[label], label, samples, use, acceleration, ends))
+    return runs
+
+
 def peaks(motion: Motion, runs: list[Run]) -> dict[str, float]:
     """Return the largest displacements, and the largest currents of an axis: to identify, and of all runs."""
     fit = [run.use == "identify" for run in runs]
@@ -147,10 +169,14 @@ def known_rows(kind: str) -> set[str]:
     return {name for table in tables.get(kind, ()) for name in table}
 
 
-def _choose(seed: tuple[int, ...], kind: str, machine: str, number: int, only: tuple[str, ...]) -> list[Entry]:
+def _choose(
+    seed: tuple[int, ...], kind: str, machine: str, number: int, only: tuple[str, ...], ramps: bool = False
+) -> list[Entry]:
     """Return the rows of a case: all in turn, in an order that the first number of the seed fixes."""
     table = {"one": ROWS, "two": ROWS, "alias": ALIASES, "outside": OUTSIDE}.get(kind, {})
     able = {n: e for n, e in table.items() if e.nodes(machine) and (not only or n in only or kind == "two")}
+    if ramps:
+        able = {name: entry for name, entry in able.items() if name not in STEADY}
     if not able and kind != "nothing":
         raise ValueError(f"no row of kind {kind} that is asked for can be on {machine}")
     if not able:
@@ -173,9 +199,15 @@ def _choose(seed: tuple[int, ...], kind: str, machine: str, number: int, only: t
 
 
 def make_case(
-    name: str, kind: str, machine: str, seed: tuple[int, ...], number: int, only: tuple[str, ...] = ()
+    name: str,
+    kind: str,
+    machine: str,
+    seed: tuple[int, ...],
+    number: int,
+    only: tuple[str, ...] = (),
+    ramps: bool = False,
 ) -> Case:
-    """Return case `number` of its kind; the same for the same seed.
+    """Return case `number` of its kind; the same for the same seed. ramps: run-ups and coast-downs.
 
     Raises:
         RuntimeError: no stable, visible machine was found in twenty attempts
@@ -184,13 +216,13 @@ def make_case(
     rng = np.random.default_rng(seed)
     least = 0.0
     for attempt in range(1, 21):
-        parameters, runs = draw_parameters(rng, machine), draw_runs(rng, machine)
+        parameters, runs = draw_parameters(rng, machine), (draw_run_ups if ramps else draw_runs)(rng, machine)
         lifted = float(np.exp(rng.uniform(np.log(3.0), np.log(40.0)))) if rng.random() < 0.5 else np.inf
         try:
             healthy = Simulation(machine, parameters, runs, RATE, lifted=lifted).run()
             sizes = peaks(healthy, runs)
             faults = []
-            for entry in _choose(seed, kind, machine, number, only):
+            for entry in _choose(seed, kind, machine, number, only, ramps):
                 plant = MACHINES[machine](parameters, GAINS[machine])
                 low = max(least, 0.5 if kind == "two" else 0.0)
                 draw = Draw(
@@ -216,7 +248,8 @@ def make_case(
         instruments = draw_instruments(rng, (largest, current))
         case = Case(name, kind, machine, faults, parameters, runs, lifted, instruments, motion, 0.0, attempt)
         if faults:
-            case.visible = detectability(machine, parameters, runs, lifted, healthy, motion, instruments, case.coarse)
+            visible = along_ramps if ramps else detectability
+            case.visible = visible(machine, parameters, runs, lifted, healthy, motion, instruments, case.coarse)
         if kind not in ("one", "two", "outside") or case.visible >= (LEAST if machine == "jeffcott" else LEAST_BEAM):
             return case
         least = min(0.9, least + 0.15)

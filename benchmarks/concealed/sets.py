@@ -21,8 +21,8 @@ from benchmarks.concealed.writing import write_case
 
 GROUPS = {"both": ("jeffcott", "fe_rigid"), "beams": ("fe_rigid", "fe_flexible", "two_amb_rotor")}
 Job = tuple[
-    str, str, str, int, tuple[int, ...], tuple[str, ...], tuple[str, ...], str
-]  # name, kind, machine, number, seed, rows, nuisances, folder
+    str, str, str, int, tuple[int, ...], tuple[str, ...], tuple[str, ...], bool, str
+]  # name, kind, machine, number, seed, rows, nuisances, ramps, folder
 
 
 def plan(
@@ -33,6 +33,7 @@ def plan(
     machine: str,
     only: tuple[str, ...],
     nuisances: tuple[str, ...] = (),
+    ramps: bool = False,
 ) -> list[Job]:
     """Return the jobs of a set. A case depends on seed, machine, kind and its number, on nothing else."""
     machines = GROUPS.get(machine, (machine,))
@@ -50,7 +51,7 @@ def plan(
         counts[which, chosen] = number + 1
         name = f"{which[0]}{index:04d}"
         case_seed = (seed, [*MACHINES].index(which), KINDS.index(chosen), number)
-        jobs.append((name, chosen, which, number, case_seed, only, nuisances, str(folder)))
+        jobs.append((name, chosen, which, number, case_seed, only, nuisances, ramps, str(folder)))
     return jobs
 
 
@@ -58,10 +59,10 @@ def one(job: Job) -> dict[str, Any]:
     """Make and write one case; return how long it took."""
     from threadpoolctl import threadpool_limits
 
-    name, kind, machine, number, seed, only, nuisances, folder = job
+    name, kind, machine, number, seed, only, nuisances, ramps, folder = job
     begin, cpu = time.perf_counter(), time.process_time()
     with threadpool_limits(1):
-        case = make_case(name, kind, machine, seed, number, only)
+        case = make_case(name, kind, machine, seed, number, only, ramps)
         write_case(case, Path(folder), seed, nuisances)
     return {
         "case": name,

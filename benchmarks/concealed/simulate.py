@@ -19,8 +19,9 @@ Array = NDArray[Any]
 CHUNK = 1000
 TURN = 128  # samples of one turn, for the harmonics of the forces
 WINDOW, RIPPLE = 0.3, 15  # s at least, for the mean of slow modes; orders of their ripple
+INSTANT = 1e-9  # s: rounding of times
 SLOW = 2.0  # 1/s: what decays more slowly is not waited for
-SIZES = {"z": 1.0, "p": 1.0, "v": 700.0, "i": 1.2e4, "c": 1.2e4, "a": 20.0}  # of outputs against displacements
+SIZES = {"z": 1.0, "p": 1.0, "v": 700.0, "w": 7e3, "i": 1.2e4, "c": 1.2e4, "a": 20.0}  # of outputs, against z
 SETTLE = {
     "jeffcott": (0.60, 0.55, 0.35),
     "fe_rigid": (0.70, 0.60, 0.50),
@@ -33,12 +34,14 @@ SETTLE = {
 class Run:
     """One run: what is set, what is recorded."""
 
-    speed: float  # rad/s
+    speed: float  # rad/s, before the first sample
     start: float  # shaft angle at the first sample
     gains: tuple[Gains, ...]  # of each bearing
     label: str  # of the gains
     samples: int
     use: str
+    acceleration: float = 0.0  # rad/s^2, from the first sample on
+    ramp: float = np.inf  # s: how long; then the speed is held
 
 
 @dataclass
@@ -139,8 +142,9 @@ class Simulation:
         accuracy: Accuracy | None = None,
     ) -> None:
         self.machine, self.runs, self.rows, self.lifted = machine, runs, rows, lifted
-        self.feedback = [row for row in rows if row.feedback]
-        corner = min((row.corner for row in self.feedback if row.corner), default=None)
+        rough = [row for row in rows if row.feedback]
+        self.feedback = [row.feedback for row in rough if row.feedback]
+        corner = min((row.corner for row in rough if row.corner), default=None)
         accuracy = accuracy or (ROUGH if corner else SMOOTH)
         self.sample, self.step, self.stride = 1.0 / rate, accuracy.samples / rate, accuracy.samples
         self.plants = [MACHINES[machine](parameters, run.gains) for run in runs]
@@ -151,11 +155,15 @@ class Simulation:
         integrators = sum(row.integrators for row in rows)
         cores = [Core(plant, run.speed, integrators) for plant, run in zip(self.plants, runs, strict=True)]
         plant = self.plants[0]
+        ramps = any(run.acceleration for run in runs)
+        self.discs = [node for node, dof in plant.tilt.items() if ramps and plant.gyroscopic[dof, dof]]
+        self.feedback += [self._gyroscopic] if self.discs else []
         marks = [bearing.mark for bearing in plant.bearings]
         unbalances = (f"f{unbalance.node}" for unbalance in plant.unbalances)
-        driven = (f"f{plant.crack.node}", *unbalances, *(name for row in rows for name in row.drives))
+        moments, tilts = (tuple(f"{kind}{node}" for node in self.discs) for kind in "mw")
+        driven = (f"f{plant.crack.node}", *unbalances, *(name for row in rows for name in row.drives), *moments)
         self.inputs = tuple(dict.fromkeys(driven))
-        self.reads = tuple(dict.fromkeys(name for row in self.feedback for name in row.reads))
+        self.reads = tuple(dict.fromkeys((*(name for row in rough for name in row.reads), *tilts)))
         currents = (f"{name}{mark}" for mark in marks for name in ("i", "command"))
         self.recorded = tuple(dict.fromkeys([*(f"p{node}" for node in plant.probes), *currents, *self.reads]))
         self.speed = np.array([run.speed for run in runs])[:, None, None]
@@ -178,7 +186,7 @@ class Simulation:
             corner and corner * accuracy.tolerance,
             accuracy.points,
             accuracy.samples,
-            any(row.timed for row in self.feedback),
+            any(row.timed for row in rough) or bool(self.discs),
             plant.anisotropic,
         )
 
@@ -191,9 +199,8 @@ class Simulation:
             if nodes.past is not None:
                 motion |= {f"late {name}": nodes.past[:, j] for j, name in enumerate(self.reads)}
             out = np.zeros((len(y), len(where), y.shape[2]), complex)
-            for row in self.feedback:
-                assert row.feedback is not None
-                for name, value in row.feedback(nodes, motion).items():
+            for law in self.feedback:
+                for name, value in law(nodes, motion).items():
                     out[:, where[name]] += value
             return self._complete(out)
 
@@ -203,10 +210,25 @@ class Simulation:
         """Return inputs (L, m, ...) and, of an anisotropic machine, behind them their conjugates."""
         return np.concatenate([inputs, inputs.conj()], axis=1) if self.plants[0].anisotropic else inputs
 
+    def _gyroscopic(self, nodes: Nodes, motion: dict[str, Array]) -> dict[str, Array]:
+        """Return the moments i (theta' - W) G tilt' of what a shaft turns faster than at W, for which the core is."""
+        plant = self.plants[0]
+        more = {node: plant.gyroscopic[plant.tilt[node], plant.tilt[node]] for node in self.discs}
+        return {f"m{node}": 1j * (nodes.rate - nodes.speed) * G * motion[f"w{node}"] for node, G in more.items()}
+
     def clock(self, t: Array) -> Clock:
-        """Return times t (1 or L, ...), at least three axes, with the shaft angle there."""
-        theta = self.start + self.speed * t
-        rate, acceleration = self.speed + np.zeros_like(theta), np.zeros_like(theta)
+        """Return times t (1 or L, ...), at least three axes, with the shaft angle there.
+
+        Ramps begin where the step does in which the first sample lies, so that no step has a corner.
+        """
+        a, ramp = (
+            np.array([getattr(run, name) for run in self.runs])[:, None, None] for name in ("acceleration", "ramp")
+        )
+        since = np.maximum(t + self.sample, 0.0)
+        on = np.minimum(since, ramp)
+        theta = self.start + self.speed * t + a * on * (since - on / 2)
+        rate = self.speed + a * on + np.zeros_like(theta)
+        acceleration = a * ((since > INSTANT) & (since < ramp + INSTANT)) + np.zeros_like(theta)
         for row in self.rows:
             if row.wobble:
                 more = row.wobble(t)

@@ -35,14 +35,15 @@ def write_case(case: Case, folder: Path, seed: tuple[int, ...], nuisances: tuple
         for lane in (k for k, run in enumerate(case.runs) if run.use == use):
             run = case.runs[lane]
             hertz = run.speed / (2 * np.pi)
-            name = f"run{len(runs):02d}_{hertz:05.1f}Hz_{run.label}"
+            motion = "up" if run.acceleration > 0 else "down" if run.acceleration else f"{hertz:05.1f}Hz"
+            name = f"run{len(runs):02d}_{motion}_{run.label}"
             _write_data(place / f"{name}.{suffix}", columns[lane])
             runs.append(
                 {
                     "id": name,
                     "file": f"{name}.{suffix}",
                     "sample_rate": f"{RATE:.0f} Hz",
-                    "speed": f"{60 * hertz:.0f} rpm",
+                    **({} if run.acceleration else {"speed": f"{60 * hertz:.0f} rpm"}),
                     "tacho": tacho[lane],
                     "use": use,
                     "set": _settings(run.gains, bearings),
