@@ -1,7 +1,8 @@
 """How visible a fault is to somebody who knows the machine but not its free parameters.
 
 D^2 = min over p of sum |y_fault - y_healthy(p)|^2 / sigma^2 over the samples to identify, p the free parameters. D is
-about the largest z-score that a test of those data can reach: below 4 or so nothing can be seen.
+about the largest z-score that a test of those data can reach: below 4 or so nothing can be seen. Along ramps one linear
+step leads towards that minimum: D of strong faults is larger than it.
 """
 
 from __future__ import annotations

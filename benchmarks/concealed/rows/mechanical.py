@@ -319,7 +319,7 @@ def _contact(draw: Draw, physics: str, friction: float, alias: tuple[str, ...]) 
     def feedback(nodes: Nodes, motion: dict[str, Array]) -> dict[str, Array]:
         q, q_dot = motion[z], motion[v]
         radius = np.maximum(np.abs(q), 1e-12)
-        slide = nodes.speed * SURFACE + (q.conj() * q_dot).imag / radius
+        slide = nodes.rate * SURFACE + (q.conj() * q_dot).imag / radius
         return {f: -(1 + 1j * friction * np.sign(slide)) * k * np.maximum(radius - gap, 0.0) * q / radius}
 
     effect = {"gap": gap, "k": k} | ({"mu": friction} if friction else {})
@@ -330,6 +330,7 @@ def _contact(draw: Draw, physics: str, friction: float, alias: tuple[str, ...]) 
         ("rotor", "support"),
         alias,
         feedback=feedback,
+        timed=True,
         reads=(z, v),
         drives=(f,),
         corner=1e-15,

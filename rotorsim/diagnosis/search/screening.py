@@ -21,7 +21,8 @@ MOST_FITS = 90  # in one round; places beyond are screened
 # times the least misfit that any place allows: places that allow no less are not looked at. The bound is that of free
 # harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
 POSSIBLE = 10.0
-ALIKE = 4.0  # ratio of the noise of two signals by two measures: a promise may be off by its root, as linear theory is
+ALIKE = 2.0  # ratio of the noise of two signals by two measures: a promise is off by as much at most (NEAR_PROMISE)
+UNMOVED = 3.0  # standard deviations by which a diagram is another one
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
 
 
@@ -38,7 +39,7 @@ class Screened:
     """kept: the insertions that are fitted. promises: of each insertion; near: so where that tells places apart.
 
     laws: what insertions leave by linear theory of their laws, of those where that is known. elsewhere: what is fitted
-    where its law is chosen.
+    where its law is chosen. reused: whether promises are those of an earlier round.
     """
 
     kept: list[int]
@@ -46,6 +47,7 @@ class Screened:
     near: Sequence[Promise | None]
     laws: Mapping[int, Promise] = field(default_factory=dict)
     elsewhere: Sequence[int] = ()
+    reused: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +86,7 @@ class Screening:
             kept = [*best, *(others[k] for k in likely)]
             return Screened(kept, unknown, unknown, {k: one for k, one in laws.items() if k in kept}, elsewhere)
         known = None if earlier is None else earlier.likely
-        shares = {} if earlier is None or not is_alike(earlier.weighed_by, self.evidence.weighed_by) else earlier.shares
+        shares = earlier.shares if earlier is not None and self._holds(earlier, before) else {}
         promises: list[Promise | None] = [
             Promise(before.misfit * shares[item.key] if item.key in shares else np.inf) for item in candidates
         ]
@@ -98,7 +100,15 @@ class Screening:
         for k, one in zip(looked_at, found, strict=True):
             promises[k] = one
         kept = most_promising(candidates, [misfit_of(one) for one in promises], before)
-        return Screened(kept, promises, unknown if self.evidence.costly else promises)
+        return Screened(kept, promises, unknown if self.evidence.costly else promises, reused=bool(shares))
+
+    def _holds(self, earlier: Round, before: Fit) -> bool:
+        """Return whether what was promised in an earlier round holds: beside the same diagram, the noise alike."""
+        if not is_alike(earlier.weighed_by, self.evidence.weighed_by):
+            return False
+        then, now = earlier.before.values, before.values
+        same = is_adequate(earlier.before) == is_adequate(before) and then.keys() == now.keys()
+        return same and all(abs(now[k] - then[k]) <= UNMOVED * before.std(j) for j, k in enumerate(now))
 
     def _laws(self, before: Fit, candidates: Sequence[Insertion]) -> dict[int, Promise]:
         """Return what insertions leave by linear theory of their laws, of those where that is known."""

@@ -124,6 +124,11 @@ class Trials:
                 (start, led(groups, again.get(item.key) or near))
                 for item, (start, groups), near in zip(found, jobs, known, strict=True)
             ]
+            if self.evidence.costly:  # from where they were, and on all samples
+                jobs = [
+                    (values_in(start, again[item.key]), [[{}]]) if item.key in again else (start, groups)
+                    for item, (start, groups) in zip(found, jobs, strict=True)
+                ]
             jobs = near_laws(jobs, screened.laws)
             promised = {k: one for k in kept if (one := screened.laws.get(k) or promises[k]) is not None}
             begun = self._begun(before, jobs, kept, promised, is_out, called)
@@ -155,7 +160,9 @@ class Trials:
         self.counts["fits"] += len(found)
         fits, ended = self._refined(before, jobs, fits, [item.law for item in found])
         found, fits = self._finer(before, found, fits)
-        beyond = beyond_of(before, fits)  # what leaves more may have been stopped early
+        beyond = (
+            0.0 if self.evidence.costly else beyond_of(before, fits)
+        )  # what leaves more may have been stopped early
         ended |= {k for k, fit in enumerate(fits) if fit.failure or (not fit.nonlinear and fit.misfit <= beyond)}
         tried = [
             Candidate(item, fit, self._astray(before, fit), k in ended)
@@ -167,8 +174,9 @@ class Trials:
         ordered = tuple(simplest_first(tried, self.slack))
         places_of = tuple(classes), hypotheses, tuple(elsewhere), tuple(untried), likely
         given = zip(every, screened.promises, strict=True) if self.evidence.costly else ()
-        shares = {item.key: one.misfit / before.misfit for item, one in given if one is not None}
-        return self._kept(Round(before, ordered, *places_of, excluded, shares, self.evidence.weighed_by))
+        shares = {k.key: p.misfit / before.misfit for k, p in given if p is not None and p.misfit < before.misfit}
+        by = self.evidence.weighed_by if earlier is None or not screened.reused else earlier.weighed_by
+        return self._kept(Round(before, ordered, *places_of, excluded, shares, by))
 
     def _kept(self, found: Round) -> Round:
         self.rounds[structure_of(found.before.document)] = found
@@ -309,7 +317,7 @@ class Trials:
                     best_of.setdefault(laws[k], k)
                 self._again(jobs, fits, [k for k in best_of.values() if is_slow(fits[k], slow)], SECOND_EVALUATIONS)
             order = [k for k in by_misfit(fits) if fits[k].misfit < RIVAL_MISFIT * least and not is_slow(fits[k], slow)]
-            if self.evidence.costly:  # what explains too little after its first steps is no rival, nonlinear or not
+            if self.evidence.costly:  # of what explains little after its first steps the first few
                 order = [k for n, k in enumerate(order) if n < REFINED or fits[k].misfit <= slow]
         else:
             most = min(PROMISING * before.misfit, RIVAL_MISFIT * min((fits[k].misfit for k in order), default=np.inf))

@@ -34,7 +34,7 @@ LARGEST = 2.0  # standard deviations: a period before and after the sample is 2.
 class OnTime:
     """Runs whose angle is right by the time that pulses were late (shift, std: [s]), and what is noise in them.
 
-    Hum is fitted beside them, where the shaft turns.
+    Hum and drift of sensors are fitted beside them, where the shaft turns.
     """
 
     runs: tuple[SampledRun, ...]

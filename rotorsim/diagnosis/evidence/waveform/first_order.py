@@ -11,7 +11,7 @@ that size promise c - g^T H^-1 g: exact where a law is linear in what it adds, w
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -62,30 +62,18 @@ class Sensitivities:
         return same and abs(self.evaluation.cost - cost) <= SHARED * cost
 
 
-@dataclass(eq=False)
-class KnownLaws:
-    """What laws share. beside: the last sensitivities of a diagram from which a law is absent.
-
-    sizes: of a law, at any place, the parameters with which it vanishes, among those that are not zero.
-    """
-
-    beside: Sensitivities | None = None
-    sizes: dict[tuple[Hashable, tuple[str, ...]], tuple[str, ...]] = field(default_factory=dict)
-
-
 @dataclass(frozen=True, eq=False)
 class FirstOrder:
     """A law beside parts of runs. first (q,): unknowns as the diagram states them; old: parameters of no effect.
 
-    known: of the laws before. law: what says that it is one of those, at another place; None: none.
+    known: the last sensitivities of a diagram from which a law is absent, for the next.
     """
 
     search: OutputErrorSearch
     first: np.ndarray
     starts: Sequence[Mapping[str, float]]
     old: Collection[str]
-    known: KnownLaws = field(default_factory=KnownLaws)
-    law: Hashable = None
+    known: list[Sensitivities] = field(default_factory=list)
 
     @cached_property
     def ranked(self) -> list[Start]:
@@ -135,15 +123,10 @@ class FirstOrder:
         absent = self._simulated(self._times(stated, found, 0.0)) if found else Evaluation(stated, 1)
         if not np.isfinite(absent.cost):
             return [], absent
-        keys = {j: self.search.free[j].name.rpartition(".")[2] for j in found}
-        of_law = self.law, tuple(keys.values())
-        if self.law is not None and of_law in self.known.sizes:
-            return [j for j in found if keys[j] in self.known.sizes[of_law]], absent
         for j in found:
             less = [k for k in found if k != j]
             if less and abs(self._simulated(self._times(stated, less, 0.0)).cost - absent.cost) <= ABSENT * absent.cost:
                 found = less
-        self.known.sizes[of_law] = tuple(keys[j] for j in found)
         return found, absent
 
     @cached_property
@@ -152,14 +135,14 @@ class FirstOrder:
         sizes, absent = self._vanishing
         named = [(j, item.name) for j, item in enumerate(self.search.free) if j not in self._named]
         others = {name: float(self.first[j]) for j, name in named}
-        known = self.known.beside
-        if known is not None and known.hold_for(self.search, absent.cost, others):
-            return known
+        for one in self.known:
+            if one.hold_for(self.search, absent.cost, others):
+                return one
         free = np.setdiff1d(np.arange(len(self.first)), self._named)
         point = self._times(self.search.stated(self.first, self.starts[0]), sizes, 0.0)
         evaluation = self.search.evaluate(point, self.search.substeps(point))
-        self.known.beside = Sensitivities(self.search, evaluation, free, others)
-        return self.known.beside
+        self.known[:] = [Sensitivities(self.search, evaluation, free, others)]
+        return self.known[0]
 
     def _times(self, point: np.ndarray, which: Sequence[int], factor: float) -> np.ndarray:
         point = point.copy()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from operator import attrgetter
@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorsim.diagnosis.catalogue.insertion import LONGEST, SAMPLED
 from rotorsim.diagnosis.evidence.fit import FAILURES, Effort, Fit, Starts, failed_fit
-from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder, KnownLaws
+from rotorsim.diagnosis.evidence.waveform.first_order import FirstOrder, Sensitivities
 from rotorsim.diagnosis.evidence.waveform.runs import SampledRuns
 from rotorsim.errors import Problem, RotorsimError
 from rotorsim.identification.waveform.differences import by_differences
@@ -158,20 +158,18 @@ class WaveformFits(SampledRuns):
     def _fit(self, document: Mapping[str, Any], starts: Starts, effort: Effort) -> Fit:
         """Follow the best of each group on the beginning of the runs, then the best of these on all samples.
 
-        One that is only carried on, or whose values by another measure of the noise are known, on all samples at once.
+        One that is only carried on, on all samples at once.
         """
         limit = MOST_SIMULATIONS if effort.most is None else REFINED_EVALUATIONS * effort.most
         last = LAST_STEPS if effort.most is None else FEW_STEPS
         search = self.search(document)
-        every = {item.name for item in search.free}
-        known = [start for group in starts for start in group if every <= start.keys()] if self.parts else []
-        if known or [*starts] == [[{}]]:
-            point = search.stated(self.first_point(search), known[0] if known else {})
-            return self._summary(document, search, search.minimise(point, last if self.parts else limit))
+        if [*starts] == [[{}]]:
+            most = effort.most if self.parts and effort.most else limit
+            return self._summary(document, search, search.minimise(self.first_point(search), most))
         short, first = self._short(search)
         groups = starts or [[{}, self.near]]
         groups = [[start for group in groups for start in group]] if self.parts else groups
-        tried = [self._followed(document, short, first, group) for group in groups]
+        tried = [self._followed(short, first, group) for group in groups]
         begun = [min(group, key=attrgetter("cost")) for group in tried if group]
         if not begun:
             return Fit(document, failure=DIVERGES)
@@ -235,40 +233,28 @@ class WaveformFits(SampledRuns):
             short, first = self._short(self.search(document), PROMISED_PARTS)
             if self.parts:
                 every = [start for group in starts for start in group]
-                return self._first_order(document, short, first, every)[0].promise
-            tried = self._followed(document, short, first, starts[0] if starts else [])
+                return self._first_order(short, first, every)[0].promise
+            tried = self._followed(short, first, starts[0] if starts else [])
         except FAILURES:
             return np.inf
         return min((evaluation.cost for evaluation in tried), default=np.inf)
 
     @cached_property
-    def _known_laws(self) -> KnownLaws:
-        """What laws share with those that follow."""
-        return KnownLaws()
+    def _sensitivities(self) -> list[Sensitivities]:
+        """The last of a diagram from which a law is absent, for the laws that follow."""
+        return []
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what another process gets: equations cannot be sent."""
-        return {key: value for key, value in vars(self).items() if key != "_known_laws"}
-
-    def _law(self, document: Mapping[str, Any]) -> Hashable:
-        """Return what says which law a document has that the diagram as given has not, at whatever place."""
-        blocks = document["blocks"].items()
-        new = [block for name, block in blocks if block["type"] != self.given.get(name)]
-        options = [{k: v for k, v in block.get("parameters", {}).items() if isinstance(v, str)} for block in new]
-        pairs = zip((block["type"] for block in new), options, strict=True)
-        return tuple((kind, tuple(sorted(chosen.items()))) for kind, chosen in pairs) or None
+        return {key: value for key, value in vars(self).items() if key != "_sensitivities"}
 
     def _first_order(
-        self,
-        document: Mapping[str, Any],
-        short: OutputErrorSearch,
-        first: np.ndarray,
-        starts: Sequence[Mapping[str, float]],
+        self, short: OutputErrorSearch, first: np.ndarray, starts: Sequence[Mapping[str, float]]
     ) -> tuple[FirstOrder, list[Mapping[str, float]]]:
         """Return what the starts of an effect promise by first-order sensitivities, and those of the diagram, too."""
         own = [start for start in starts if not self.old & start.keys()]
         others = [start for start in starts if self.old & start.keys()]
-        return FirstOrder(short, first, own, self.old, self._known_laws, self._law(document)), others
+        return FirstOrder(short, first, own, self.old, self._sensitivities), others
 
     def residual(self, document: Mapping[str, Any]) -> np.ndarray | None:
         """Return the weighted residual of a diagram as it is, starts of runs at their best; None where it diverges."""
@@ -281,11 +267,7 @@ class WaveformFits(SampledRuns):
         return np.concatenate(whitened(search, evaluation, self.stretches)) if found else None
 
     def _followed(
-        self,
-        document: Mapping[str, Any],
-        short: OutputErrorSearch,
-        first: np.ndarray,
-        group: Sequence[Mapping[str, float]],
+        self, short: OutputErrorSearch, first: np.ndarray, group: Sequence[Mapping[str, float]]
     ) -> list[Evaluation]:
         """Return where a few steps lead from each start of a group; on parts of runs from those that promise most.
 
@@ -293,7 +275,7 @@ class WaveformFits(SampledRuns):
         these as they are where there are no others.
         """
         if self.parts:
-            promised, others = self._first_order(document, short, first, group)
+            promised, others = self._first_order(short, first, group)
             points = promised.points(FOLLOWED)
             if points:
                 points += [
