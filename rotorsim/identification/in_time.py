@@ -23,14 +23,11 @@ from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.errors import errors_of
 from rotorsim.identification.waveform.estimate import TimeEstimate, time_estimate
 from rotorsim.identification.waveform.evaluation import Evaluation
-from rotorsim.identification.waveform.late_pulses import OnTime, on_time
+from rotorsim.identification.waveform.late_pulses import OnTime, held_on_time, on_time
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import SIMULATION_DIVERGES, NoiseModel, noise_model
-from rotorsim.identification.waveform.open_angle import OpenAngle
 from rotorsim.identification.waveform.recorded.along_angle import (
     along_angle,
-    lateness,
-    turned_later,
     turns_as_recorded,
     unused_channels,
     with_reaction,
@@ -38,7 +35,6 @@ from rotorsim.identification.waveform.recorded.along_angle import (
 from rotorsim.identification.waveform.recorded.data import Channels, SampledRun, channels_of, chosen_runs
 from rotorsim.identification.waveform.recorded.reading import marked, notes_of, read_runs
 from rotorsim.identification.waveform.search import OutputErrorSearch
-from rotorsim.identification.waveform.sensors import with_sensor_errors
 from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM, subsystems_of
 from rotorsim.jobs.threads import one_thread, own_cores, threads
 from rotorsim.recordings.recording import Recording, Run
@@ -100,28 +96,23 @@ def identify_in_time(
         diagram = with_reaction(diagram)
         warnings = [*warnings, *diagram.warnings[len(as_given.warnings) :]]
     warnings = [*warnings, *unused_channels(diagram, recording)]
-    late = lateness(recording)
-    as_turned, recording = recording, along_angle(diagram, recording)
-    hold_out = None if hold_out is None else along_angle(diagram, hold_out)
+    made, recording = recording, along_angle(diagram, recording)
+    held = [(made, recording.select("hold_out"))]
+    held += [] if hold_out is None else [(hold_out, along_angle(diagram, hold_out).runs)]
     channels = channels_of(diagram, recording)
     chosen = chosen_runs(recording) if names is None else [run for run in recording.runs if run.id in names]
     sampled = read_runs(diagram, chosen, channels)
-    held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
-    held_out = read_runs(diagram, held, channels)
     channels = marked(channels, sampled)
     diagram = replace(diagram, free=wanted)
     with one_thread(), threads(own_cores()):
-        timed = on_time(diagram, channels, sampled, late)
+        timed = on_time(diagram, channels, sampled, made)
         estimate = _estimated(diagram, channels, timed, timed.noise.near)
-        fitted = _Fitted(diagram, channels, as_turned if turns else None, timed, estimate)
+        fitted = _Fitted(diagram, channels, timed, estimate)
         fitted, refined = on_fine_meshes(diagram, fitted)
         diagram, timed, estimate = fitted.diagram, fitted.timed, fitted.widened
         contradicted = contradictions_of(diagram, fitted, settings_of(chosen))
         sampled, noise = timed.runs, timed.noise
-        held_out = tuple(turned_later(run, diagram, timed.shift) for run in held_out)
-        held_out = (
-            with_sensor_errors(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
-        )
+        held_out = held_on_time(diagram, channels, held, timed)
         verdicts = judge(estimate, estimate.intervals, precision=precision)
         left = [item.name for item, one in zip(estimate.free, verdicts, strict=True) if not one.identifiable]
         advice = advise_in_time(estimate, noise, channels, left, precision) if left else []
@@ -187,11 +178,10 @@ def _refuse(diagram: Diagram, method: str, given: Sequence[str], wanted: Sequenc
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """A diagram fitted to runs; turned: their recording, where a shaft turns."""
+    """A diagram fitted to runs."""
 
     diagram: Diagram
     channels: Channels
-    turned: Recording | None
     timed: OnTime
     estimate: TimeEstimate
 
@@ -232,10 +222,7 @@ class _Fitted:
         return self._wider(self.estimate)
 
     def _wider(self, found: TimeEstimate) -> TimeEstimate:
-        if self.turned is None:
-            return found
-        angle = OpenAngle(self.diagram, self.turned, self.timed.std)
-        return replace(found, robust=found.robust + angle.covariance(found.search, found.evaluation))
+        return replace(found, robust=found.robust + self.timed.angle.covariance(found.search, found.evaluation))
 
 
 def _estimated(diagram: Diagram, channels: Channels, timed: OnTime, near: Mapping[str, float]) -> TimeEstimate:

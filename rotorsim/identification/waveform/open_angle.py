@@ -1,97 +1,192 @@
-"""What pulses leave open of the shaft angle, and what that leaves open of parameters.
+"""What pulses leave open of the shaft angle, what the motion tells of it, and what that leaves open of parameters.
 
-The scatter of stretches shows nothing of an error that a whole run shares. An independent error of one standard
-deviation changes the gradient by g and the estimate by u = -H^-1 g; u u^T is added to its covariance.
+All sampled pulses are late by one time; between pulses the angle is known but for what its smooth curve leaves open.
+Both are errors of the angle of one standard deviation each, c (E,) of them ~ N(0, 1), fitted beside the parameters
+theta. With D = dr/dc, J = dr/d theta, all weighted, h = J^T D, H = J^T J:
+
+c = c_0 - K^-1 (D^T r - h^T H^-1 J^T r + c_0),  K = D^T D - h^T H^-1 h + 1;  their covariance is K^-1,
+and H^-1 h K^-1 h^T H^-1 is added to that of theta: the scatter of stretches shows nothing of an error of a whole run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.stats import chi2
 
+from rotorsim.criteria import CRITERIA
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.driven.equations import clock_ports
 from rotorsim.identification.waveform.evaluation import Evaluation, solved
-from rotorsim.identification.waveform.noise import INVERTED
+from rotorsim.identification.waveform.noise import INVERTED, Variance
 from rotorsim.identification.waveform.recorded.along_angle import ANGLE_UNITS, turned_later
 from rotorsim.identification.waveform.recorded.data import SampledRun
 from rotorsim.identification.waveform.search import OutputErrorSearch
+from rotorsim.identification.waveform.subsystems import WHOLE_DIAGRAM
 from rotorsim.recordings.recording import Recording
 from rotorsim.signals.pulse_curve import PulseCurve
 from rotorsim.signals.turning import turning
 
 SHOWN = 0.01  # sum of squares of weighted changes: below, no parameter goes by more than 0.1 of its standard deviation
 MOST_ERRORS = 32  # of a run; of more, so many sums with random signs: a standard deviation is known to 1/8 of itself
+LARGEST_LATE = 2.0  # standard deviations: a period before and after the sample is 2.4
+CHANCE = 1e-3  # of errors of a run as large as those found: below, it is the diagram that is wrong, and they stay open
+
+
+@dataclass(frozen=True, eq=False)
+class Changes:
+    """What E errors change: gradients (q, E), squares D^T D (E, E), slopes D^T r (E,)."""
+
+    gradients: np.ndarray
+    squares: np.ndarray
+    slopes: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class OpenAngle:
-    """What is not known of the angle in a recording as it was made: late, the std of what all pulses share [s]."""
+    """Errors of the angle of runs, of one standard deviation each.
+
+    late: the standard deviation of the time by which all pulses are late [s]. curves: through the pulses of each run,
+    with its errors. factor (E, E): by which errors are mixed from independent ones; None: they are independent.
+    """
 
     diagram: Diagram
-    recording: Recording
     late: float = 0.0
+    curves: Mapping[str, PulseCurve] = field(default_factory=dict)
+    factor: np.ndarray | None = None
+
+    @cached_property
+    def errors(self) -> list[str]:
+        """The run that each error is of, "" of the one of all."""
+        return ["" for _ in range(bool(self.late))] + [
+            name for name, curve in self.curves.items() for _ in range(curve.root.shape[1])
+        ]
+
+    def of_run(self, run: SampledRun) -> np.ndarray:
+        """Return which errors a run has, (E,)."""
+        return np.array([not name or _is_part(run, name) for name in self.errors], bool)
+
+    def turned(self, run: SampledRun, c: np.ndarray) -> SampledRun:
+        """Return a run whose angle is off by so many standard deviations of each error, c (E,)."""
+        if self.late:
+            run = turned_later(run, self.diagram, self.late * float(c[0]))
+        for name, curve in self.curves.items():
+            if _is_part(run, name):
+                own = c[[one == name for one in self.errors]]
+                ports = [port for port in clock_ports(self.diagram) if port in run.values]
+                orders = {port: list(ANGLE_UNITS).index(port.rpartition(".")[2]) for port in ports}
+                alone = replace(curve, root=(curve.root @ own)[:, None])
+                off = {port: run.values[port] + alone.errors(run.time, k)[:, 0] for port, k in orders.items()}
+                run = replace(run, values={**run.values, **off})
+        return run
+
+    def std(self, run: SampledRun) -> np.ndarray:
+        """Return the standard deviation of the angle of a run, (N,) [rad]."""
+        speeds = [run.values[port] for port in clock_ports(self.diagram) if port.endswith(".speed")]
+        squares = (self.late * speeds[0]) ** 2 if speeds else np.zeros(run.size)
+        for name, curve in self.curves.items():
+            if _is_part(run, name):
+                squares = squares + curve.std(run.time) ** 2
+        return np.sqrt(squares)
+
+    def shows(self, runs: Sequence[SampledRun], variance: Variance) -> bool:
+        """Return whether signals that lag by as much differ by more than a part of their noise in any run."""
+        names = [name for system, name in variance if system == WHOLE_DIAGRAM]
+        for run in runs:
+            square = float(np.nanmean(self.std(run) ** 2))
+            for name in names:
+                changed = square * float(np.nanmean(run.values[name] ** 2))
+                if changed > CRITERIA.mesh_error * variance[WHOLE_DIAGRAM, name]:
+                    return True
+        return False
+
+    def heard(self, search: OutputErrorSearch, evaluation: Evaluation, c: np.ndarray) -> tuple[np.ndarray, OpenAngle]:
+        """Return the errors (E,) that the motion shows beside all that is searched, and what is open then.
+
+        c (E,): those of the runs of the search. Where a run shows errors that its pulses exclude, they stay open.
+        """
+        changes = self._changes(search, evaluation)
+        searched = ~search.at_bound(evaluation.unknowns)
+        searched[: search.m] &= search.hold != "theta"
+        h, H = changes.gradients[searched], evaluation.information[np.ix_(searched, searched)]
+        moved = solved(H, h, INVERTED) if searched.any() else h
+        K = changes.squares - h.T @ moved
+        slopes = changes.slopes - moved.T @ evaluation.gradient[searched] + c
+        kept, found = np.ones(len(c), bool), np.zeros(len(c))
+        of = np.array(self.errors)
+        while kept.any():
+            square = np.ix_(kept, kept)
+            sizes, turned = np.linalg.eigh((K[square] + K[square].T) / 2)
+            root = turned / np.sqrt(np.maximum(sizes, 0.0) + 1.0)
+            found[:] = 0.0
+            found[kept] = c[kept] - root @ (root.T @ slopes[kept])
+            sizes_of = {name: found[of == name] for name in {*of[kept].tolist()} - {""}}
+            beyond = [name for name, size in sizes_of.items() if chi2.sf(size @ size, len(size)) < CHANCE]
+            if not beyond:
+                break
+            kept &= ~np.isin(of, beyond)
+        factor = np.eye(len(c))
+        if kept.any():
+            factor[np.ix_(kept, kept)] = root
+        found[of == ""] = np.clip(found[of == ""], -LARGEST_LATE, LARGEST_LATE)
+        return found, replace(self, factor=factor)
 
     def covariance(self, search: OutputErrorSearch, evaluation: Evaluation) -> np.ndarray:
         """Return what the angle leaves open of the unknowns of a search, (q, q); zero at bounds."""
-        changes = [*self._late(search, evaluation), *self._between(search, evaluation)]
-        u = np.zeros((len(evaluation.unknowns), len(changes)))
-        if changes:
+        changed = self._changes(search, evaluation).gradients
+        u = np.zeros_like(changed)
+        if changed.shape[1]:
             searched = ~search.at_bound(evaluation.unknowns)
             H = evaluation.information[np.ix_(searched, searched)]
-            u[searched] = solved(H, np.stack(changes, axis=1)[searched], INVERTED)
-        return u @ u.T
+            u[searched] = solved(H, changed[searched], INVERTED)
+        u = u if self.factor is None else u @ self.factor
+        return np.asarray(u @ u.T)
 
-    def _late(self, search: OutputErrorSearch, evaluation: Evaluation) -> Iterator[np.ndarray]:
-        """Yield by how much the gradient changes where all pulses are late by one standard deviation."""
-        if self.late:
-            later = replace(search, runs=[turned_later(run, self.diagram, self.late) for run in search.runs])
-            yield later.evaluate(evaluation.unknowns, evaluation.sub).gradient - evaluation.gradient
-
-    def _between(self, search: OutputErrorSearch, evaluation: Evaluation) -> Iterator[np.ndarray]:
-        """Yield by how much the gradient changes with each error between the pulses of each run."""
-        for r, run in enumerate(search.runs):
-            curve = self._curve(run)
-            if curve is None:
+    def _changes(self, search: OutputErrorSearch, evaluation: Evaluation) -> Changes:
+        """Return what errors change, of runs in which they show."""
+        E, q = len(self.errors), len(evaluation.unknowns)
+        gradients, squares, slopes = np.zeros((q, E)), np.zeros((E, E)), np.zeros(E)
+        for k, r in search.pairs:
+            run, root, names = search.runs[r], search.root(k, r), search.systems[k].equations.outputs
+            own, which = search.columns(k, r), np.flatnonzero(self.of_run(run))
+            y, _ = search.simulated(evaluation.unknowns, k, r, evaluation.sub, sensitivities=False)
+            if not len(which) or float(np.sum((root * y * self.std(run)[:, None]) ** 2)) < SHOWN:
                 continue
-            y, _ = search.simulated(evaluation.unknowns, 0, r, evaluation.sub, sensitivities=False)
-            if float(np.sum((search.root(0, r) * y * curve.std(run.time)[:, None]) ** 2)) >= SHOWN:
-                yield from changed_gradients(search, evaluation, r, turned_off(self.diagram, run, curve))
-
-    def _curve(self, run: SampledRun) -> PulseCurve | None:
-        """Return the curve through the pulses of a run, or of the one that it is a part of; None without pulses."""
-        runs = self.recording.runs
-        whole = next((own for own in runs if run.id == own.id or run.id.startswith(f"{own.id} from ")), None)
-        return None if whole is None else turning(self.recording, whole).curve
-
-
-def turned_off(diagram: Diagram, run: SampledRun, curve: PulseCurve) -> Iterator[SampledRun]:
-    """Yield a run whose angle is off by independent errors of one standard deviation, one after another."""
-    few = curve.principal(run.time)
-    if few.root.shape[1] > MOST_ERRORS:
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (few.root.shape[1], MOST_ERRORS))
-        few = replace(few, root=few.root @ signs / np.sqrt(MOST_ERRORS))
-    ports = [port for port in clock_ports(diagram) if port in run.values]
-    orders = {port: list(ANGLE_UNITS).index(port.rpartition(".")[2]) for port in ports}
-    for one in few.root.T:
-        alone = replace(few, root=one[:, None])
-        off = {port: run.values[port] + alone.errors(run.time, order)[:, 0] for port, order in orders.items()}
-        yield replace(run, values={**run.values, **off})
+            known = np.isfinite(search.measured[k][r])
+            D = np.empty((root.size, len(which)))
+            for column, j in enumerate(which):
+                other = self.turned(run, np.eye(E)[j])
+                there = replace(search, runs=[other if i == r else one for i, one in enumerate(search.runs)])
+                changed, _ = there.simulated(evaluation.unknowns, k, r, evaluation.sub, sensitivities=False)
+                D[:, column] = (root * np.nan_to_num(run.beside_nuisances(y - changed, known, names))).ravel()
+            weighted = (root[:, :, None] * evaluation.jacobians[k][r]).reshape(root.size, -1)
+            gradients[np.ix_(own, which)] += weighted.T @ D
+            squares[np.ix_(which, which)] += D.T @ D
+            slopes[which] += D.T @ (root * np.nan_to_num(evaluation.residuals[k][r])).ravel()
+        return Changes(gradients, squares, slopes)
 
 
-def changed_gradients(
-    search: OutputErrorSearch, evaluation: Evaluation, r: int, others: Iterable[SampledRun]
-) -> Iterator[np.ndarray]:
-    """Yield by how much the gradient changes with others in the place of a run: by J^T W d, d of the outputs."""
-    known, own = np.isfinite(search.measured[0][r]), search.columns(0, r)
-    names = search.systems[0].equations.outputs
-    y, _ = search.simulated(evaluation.unknowns, 0, r, evaluation.sub, sensitivities=False)
-    weighted = search.root(0, r)[:, :, None] ** 2 * evaluation.jacobians[0][r]
-    for other in others:
-        there = replace(search, runs=[other if k == r else run for k, run in enumerate(search.runs)])
-        changed, _ = there.simulated(evaluation.unknowns, 0, r, evaluation.sub, sensitivities=False)
-        g = np.zeros(len(evaluation.unknowns))
-        g[own] = np.tensordot(weighted, other.beside_nuisances(y - changed, known, names), axes=([0, 1], [0, 1]))
-        yield g
+def open_angle(diagram: Diagram, recording: Recording, runs: Iterable[SampledRun], late: float = 0.0) -> OpenAngle:
+    """Return what the pulses of a recording, as it was made, leave open of the angle of runs; late: see `OpenAngle`."""
+    curves: dict[str, PulseCurve] = {}
+    for run in runs:
+        own = next((one for one in recording.runs if _is_part(run, one.id)), None)
+        curve = None if own is None or own.id in curves else turning(recording, own).curve
+        if own is not None and curve is not None:
+            curves[own.id] = _few(curve, own.time)
+    return OpenAngle(diagram, late, curves)
+
+
+def _is_part(run: SampledRun, name: str) -> bool:
+    return run.id == name or run.id.startswith(f"{name} from ")
+
+
+def _few(curve: PulseCurve, time: np.ndarray) -> PulseCurve:
+    few = curve.principal(np.asarray(time))
+    if few.root.shape[1] <= MOST_ERRORS:
+        return few
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (few.root.shape[1], MOST_ERRORS))
+    return replace(few, root=few.root @ signs / np.sqrt(MOST_ERRORS))

@@ -17,20 +17,16 @@ from rotorsim.diagnosis.evidence.waveform.turning import TurningEvidence
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.errors import Problem
 from rotorsim.identification.harmonic.coordinates import ANGLE_UNIT
-from rotorsim.identification.waveform.late_pulses import on_time
-from rotorsim.identification.waveform.open_angle import OpenAngle
+from rotorsim.identification.waveform.late_pulses import held_on_time, on_time
 from rotorsim.identification.waveform.parts import parts_of
 from rotorsim.identification.waveform.recorded.along_angle import (
     along_angle,
-    lateness,
-    turned_later,
     turns_as_recorded,
     unused_channels,
     with_reaction,
 )
 from rotorsim.identification.waveform.recorded.data import channels_of, chosen_runs
 from rotorsim.identification.waveform.recorded.reading import marked, notes_of, read_runs
-from rotorsim.identification.waveform.sensors import with_sensor_errors
 from rotorsim.recordings.recording import Recording
 
 
@@ -88,19 +84,18 @@ def waveform_evidence(
 
     Raises RotorsimError with all that does not fit, and where the diagram diverges when it is driven as recorded.
     """
-    turns, late = turns_as_recorded(diagram, recording), lateness(recording)
-    as_turned, recording = recording, along_angle(diagram, recording)
-    hold_out = None if hold_out is None else along_angle(diagram, hold_out)
+    turns = turns_as_recorded(diagram, recording)
+    made, recording = recording, along_angle(diagram, recording)
+    held = [(made, recording.select("hold_out"))]
+    held += [] if hold_out is None else [(hold_out, along_angle(diagram, hold_out).runs)]
     channels = channels_of(diagram, recording)
     runs = read_runs(diagram, chosen_runs(recording), channels)
     channels = marked(channels, runs)
-    held = [*recording.select("hold_out"), *(hold_out.runs if hold_out is not None else ())]
-    timed = on_time(diagram, channels, runs, late)
+    timed = on_time(diagram, channels, runs, made)
     runs, noise = timed.runs, timed.noise
-    held_out = tuple(turned_later(run, diagram, timed.shift) for run in read_runs(diagram, held, channels))
-    held_out = with_sensor_errors(diagram, channels, held_out, noise, known=False) if turns and held_out else held_out
+    held_out = held_on_time(diagram, channels, held, timed)
     parts, part_starts = parts_of(diagram, channels, runs, noise) if turns else ((), {})
-    kind = partial(TurningEvidence, angle=OpenAngle(diagram, as_turned, timed.std)) if turns else WaveformEvidence
+    kind = partial(TurningEvidence, angle=timed.angle) if turns else WaveformEvidence
     return kind(
         channels=channels,
         folder=diagram.folder,
