@@ -115,22 +115,18 @@ class OpenAngle:
         moved = solved(H, h, INVERTED) if searched.any() else h
         K = changes.squares - h.T @ moved
         slopes = changes.slopes - moved.T @ evaluation.gradient[searched] + c
-        kept, found = np.ones(len(c), bool), np.zeros(len(c))
-        of = np.array(self.errors)
-        while kept.any():
+        kept, of = np.ones(len(c), bool), np.array(self.errors)
+        while True:
+            found, factor = np.zeros(len(c)), np.eye(len(c))
             square = np.ix_(kept, kept)
             sizes, turned = np.linalg.eigh((K[square] + K[square].T) / 2)
-            root = turned / np.sqrt(np.maximum(sizes, 0.0) + 1.0)
-            found[:] = 0.0
-            found[kept] = c[kept] - root @ (root.T @ slopes[kept])
+            factor[square] = turned / np.sqrt(np.maximum(sizes, 0.0) + 1.0)
+            found[kept] = c[kept] - factor[square] @ (factor[square].T @ slopes[kept])
             sizes_of = {name: found[of == name] for name in {*of[kept].tolist()} - {""}}
             beyond = [name for name, size in sizes_of.items() if chi2.sf(size @ size, len(size)) < CHANCE]
             if not beyond:
                 break
             kept &= ~np.isin(of, beyond)
-        factor = np.eye(len(c))
-        if kept.any():
-            factor[np.ix_(kept, kept)] = root
         found[of == ""] = np.clip(found[of == ""], -LARGEST_LATE, LARGEST_LATE)
         return found, replace(self, factor=factor)
 

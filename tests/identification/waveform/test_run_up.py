@@ -7,15 +7,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from rotorsim.errors import Place, RotorsimError
 from rotorsim.identification.as_recorded import simulate_as_recorded
 from rotorsim.identification.identification import identify
 from rotorsim.identification.waveform.driven.equations import driven_equations
+from rotorsim.identification.waveform.late_pulses import on_time
 from rotorsim.identification.waveform.linearised import linearised, places_of
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import noise_model
-from rotorsim.identification.waveform.open_angle import MOST_ERRORS, changed_gradients, turned_off
+from rotorsim.identification.waveform.open_angle import CHANCE, MOST_ERRORS, OpenAngle, open_angle
 from rotorsim.identification.waveform.recorded.along_angle import (
     along_angle,
     is_in_time,
@@ -174,8 +176,9 @@ def test_errors_of_an_angle_are_those_of_its_speed_and_acceleration():
     sampled = SampledRun("up", own.values, {}, run.time, {}).part(np.flatnonzero(known))
     inside = (sampled.time > run.tacho[0]) & (sampled.time < run.tacho[-1])
     curve = turning(made, run).curve
-    off = list(turned_off(load("jeffcott"), sampled, curve))
-    assert len(off) == min(curve.principal(sampled.time).root.shape[1], MOST_ERRORS)
+    angle = open_angle(load("jeffcott"), made, [sampled])
+    off = [angle.turned(sampled, one) for one in np.eye(len(angle.errors))]
+    assert len(off) == min(curve.principal(run.time).root.shape[1], MOST_ERRORS)
     for other in off[:: len(off) // 3]:
         theta, speed = (other.values[name] - sampled.values[name] for name in ("clock.theta", "clock.speed"))
         assert 0 < np.abs(theta)[inside].max() < 3 * JITTER * 600
@@ -196,8 +199,52 @@ def test_an_angle_that_is_off_throughout_counts_as_late_pulses_do():
     found = search.minimise(start)
     later = [turned_later(run, diagram, 1e-6) for run in runs]
     own = replace(search, runs=later).evaluate(found.unknowns, found.sub).gradient - found.gradient
-    other = sum(g for r, run in enumerate(later) for g in changed_gradients(search, found, r, [run]))
+    [other] = OpenAngle(diagram, 1e-6)._changes(search, found).gradients.T
     np.testing.assert_allclose(other[: search.m], own[: search.m], rtol=0.05, atol=0.02 * np.abs(own).max())
+
+
+def rough_up(machine: Machine):
+    """Return a diagram, channels, runs and recording of a ramp and a hold whose pulses scatter by 50 us."""
+    angle = held(ramp(500, 5600, 3.0), 2.2)
+    run = recorded("up", machine, angle, 3.0, 3)
+    rough = run.tacho + 50e-6 * np.random.default_rng(5).standard_normal(len(run.tacho))
+    diagram, made = with_reaction(load("jeffcott")), recording(replace(run, tacho=np.sort(rough)))
+    along = along_angle(diagram, made)
+    channels = channels_of(diagram, along)
+    return diagram, channels, read_runs(diagram, along.runs, channels), made, angle
+
+
+@pytest.mark.slow
+def test_the_motion_tells_the_angle_between_pulses():
+    """FAULT: a healthy machine left 12 times its noise where a ramp ended: all that pulses left open was missing."""
+    diagram, channels, runs, made, angle = rough_up(Machine())
+    timed = on_time(diagram, channels, runs, made)
+
+    def off(run: SampledRun) -> np.ndarray:
+        error = run.values["clock.theta"] - angle(run.time)[0]
+        return error - error.mean()  # what is left is a phase
+
+    before, after = off(runs[0]), off(timed.runs[0])
+    assert np.std(before) > 2e-3
+    assert np.std(after) < np.std(before) / 3
+    [curve] = timed.angle.curves.values()
+    said = np.linalg.norm(curve.errors(runs[0].time) @ timed.angle.factor, axis=1)
+    assert np.mean(after**2) < 2 * np.mean(said**2)
+    assert timed.noise.variance["", "rotor.displacement[1]"] < 1.2 * (3e-8) ** 2 * 11 / 9
+    found = identify(load("jeffcott"), made)
+    assert found.adequate
+    for name, truth in Machine().parameters.items():
+        assert abs(found.parameters[name].value - truth) < 3 * found.parameters[name].std, name
+
+
+@pytest.mark.slow
+def test_errors_that_pulses_exclude_are_not_made():
+    """Of a shaft with a bow that the diagram has not, what is missing is no error of the angle."""
+    diagram, channels, runs, made, _ = rough_up(Machine(bow=6e-6, stiffness_y=5e4))
+    timed = on_time(diagram, channels, runs, made)
+    off = timed.runs[0].values["clock.theta"] - runs[0].values["clock.theta"]
+    angle = open_angle(diagram, made, runs)
+    assert np.sqrt(np.mean((off / angle.std(runs[0])) ** 2)) < np.sqrt(chi2.isf(CHANCE, len(angle.errors)))
 
 
 def test_a_measured_speed_beside_the_angle_is_said_not_to_be_used():
