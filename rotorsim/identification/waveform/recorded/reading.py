@@ -21,6 +21,7 @@ from rotorsim.identification.waveform.recorded.data import SMOOTH_KIND, STABLE_S
 from rotorsim.identification.waveform.recorded.gaps import bridged, even_time, with_lost_rows
 from rotorsim.recordings.orders import OrderRun
 from rotorsim.recordings.recording import Run
+from rotorsim.signals.dropped_samples import dropped_samples
 
 LEAST_PART = 20  # of a part of a run between gaps: fewer say little beside the unknown states that they begin with
 
@@ -88,8 +89,25 @@ def _read(diagram: Diagram, run: Run, channels: Channels) -> tuple[SampledRun, .
     for name, samples in known.items():
         values[name][recorded] = np.where(np.isfinite(samples), samples, np.nan)
     instants = instants if even is None else even
+    notes = _without_dropped(run, values, channels) if SMOOTH_KIND in channels.kinds.values() else []
     whole = SampledRun(run.id, values, channels.kinds, instants, settings, floating=channels.floating)
-    return tuple(_in_parts(whole, run, channels, recorded))
+    first, *others = _in_parts(whole, run, channels, recorded)
+    return replace(first, notes=(*first.notes, *notes)), *others
+
+
+def _without_dropped(run: Run, values: dict[str, np.ndarray], channels: Channels) -> list[Problem]:
+    """Take out, in place, samples that repeat the one before in all outputs, and return notes on them.
+
+    Of a shaft that turns: a plant at rest repeats itself.
+    """
+    measured = [name for name in channels.outputs if np.isfinite(values[name]).any()]
+    y = np.nan_to_num(np.stack([values[name] for name in measured], axis=1))
+    dropped = dropped_samples(y, np.zeros_like(y))
+    for name, lost in zip(measured, dropped.T, strict=True):
+        values[name] = np.where(lost, np.nan, values[name])
+    count = int(dropped.any(axis=1).sum())
+    what = f"{count} of {len(run.time)} samples repeat the one before in all channels, and are not compared"
+    return [_note(run, what, "the recorder dropped them")] if count else []
 
 
 def settings_of(diagram: Diagram, run: Run | OrderRun) -> tuple[dict[str, Any], list[Problem]]:
