@@ -27,10 +27,10 @@ PULSES_A_KNOT = 2  # a step of the acceleration is followed as closely as pulses
 MOST_KNOTS = 1000  # the covariance of their coefficients is a matrix
 ROUGHEST = 1e-4  # of the penalty that halves the roughest parts: none
 SMOOTHEST = 10.0  # times the weights: a parabola is followed to 1e-4 of itself
-CONDITION = 1e13  # of what is inverted, at most: of 1000 knots, 7 parts are as smooth as can be
+MOST_CONDITION = 1e13  # of what is inverted, at most: of 1000 knots, 7 parts are as smooth as can be
 LEAST_SMOOTHED = 5  # pulses: fewer do not tell jitter from a change of speed, and a line is drawn
 PRINCIPAL = 0.95  # of the variance of the angle that principal errors make
-BLOCK = 1 << 22  # numbers of errors at a time, 32 MB
+ERROR_NUMBERS = 1 << 22  # numbers of errors at a time, 32 MB
 MOST_JUMPS = 6  # of the acceleration
 JUMP_PULSES, JUMP_KNOTS = 8, 4  # between two jumps, and from a jump to an end, at least
 JUMP_LEVEL = 1e-3  # of the test of a jump, for all places together
@@ -68,7 +68,7 @@ class PulseCurve:
 
     def std(self, time: np.ndarray) -> np.ndarray:
         """Return the standard deviation of the angle at instants, (n,) [rad]."""
-        each = max(BLOCK // self.root.shape[1], 1)
+        each = max(ERROR_NUMBERS // self.root.shape[1], 1)
         parts = [self.errors(time[a : a + each]) for a in range(0, len(time), each)]
         return np.concatenate([np.linalg.norm(part, axis=1) for part in parts]) if parts else np.zeros(0)
 
@@ -152,7 +152,7 @@ class _Spline:
     def _limits(self) -> tuple[float, float]:
         _, _, A, S, _ = self._equations
         halved = float(A[-1].sum() / S[-1].sum())
-        return np.log(halved * ROUGHEST), np.log(min(halved * CONDITION, SMOOTHEST * float(A[-1].sum())))
+        return np.log(halved * ROUGHEST), np.log(min(halved * MOST_CONDITION, SMOOTHEST * float(A[-1].sum())))
 
     @cached_property
     def _best(self) -> float:

@@ -27,7 +27,7 @@ from rotorsim.diagnosis.search.promises import (
     likely_of,
     still_likely,
 )
-from rotorsim.diagnosis.search.screening import ALIKE, Screening, is_alike
+from rotorsim.diagnosis.search.screening import WEIGHED_ALIKE, Screening, is_alike
 from rotorsim.diagnosis.search.starts import with_near
 from rotorsim.diagnosis.search.trials import Trials
 from rotorsim.diagram.diagram import Free
@@ -266,7 +266,7 @@ def test_another_measure_of_the_noise_looks_again_at_what_promised_within_ten_ti
 
 def test_promises_hold_where_another_measure_of_the_noise_weighs_signals_alike():
     """Within a factor of two between two signals, whatever they are together: they are shares of the misfit."""
-    assert ALIKE == 2.0
+    assert WEIGHED_ALIKE == 2.0
     one = {"x": 1e-12, "y": 2.0}
     assert is_alike(one, {"x": 9e-12, "y": 18.0})
     assert is_alike(one, {"x": 1.9e-12, "y": 2.0})

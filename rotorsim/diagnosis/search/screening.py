@@ -21,7 +21,9 @@ MOST_FITS = 90  # in one round; places beyond are screened
 # times the least misfit that any place allows: places that allow no less are not looked at. The bound is that of free
 # harmonics, so that no law there leaves less; ten covers the one linear step of the diagram's own parameters in it
 POSSIBLE = 10.0
-ALIKE = 2.0  # ratio of the noise of two signals by two measures: a promise is off by as much at most (NEAR_PROMISE)
+WEIGHED_ALIKE = (
+    2.0  # ratio of the noise of two signals by two measures: a promise is off by as much at most (NEAR_PROMISE)
+)
 UNMOVED = 3.0  # standard deviations by which a diagram is another one
 HINT = 0.3  # drop of the misfit for each parameter, with data that are explained already, that is worth a closer look
 
@@ -31,7 +33,7 @@ def is_alike(one: Mapping[Any, float], other: Mapping[Any, float]) -> bool:
     if not one or one.keys() != other.keys():
         return False
     ratio = [one[signal] / other[signal] for signal in one]
-    return max(ratio) <= ALIKE * min(ratio)
+    return max(ratio) <= WEIGHED_ALIKE * min(ratio)
 
 
 @dataclass(frozen=True, eq=False)

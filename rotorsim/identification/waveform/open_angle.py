@@ -30,8 +30,10 @@ from rotorsim.recordings.recording import Recording
 from rotorsim.signals.pulse_curve import PulseCurve
 from rotorsim.signals.turning import turning
 
-SHOWN = 0.01  # sum of squares of weighted changes: below, no parameter goes by more than 0.1 of its standard deviation
-MOST_ERRORS = 32  # of a run; of more, so many sums with random signs: a standard deviation is known to 1/8 of itself
+ANGLE_SHOWN = (
+    0.01  # sum of squares of weighted changes: below, no parameter goes by more than 0.1 of its standard deviation
+)
+ANGLE_ERRORS = 32  # of a run; of more, so many sums with random signs: a standard deviation is known to 1/8 of itself
 LARGEST_LATE = 2.0  # standard deviations: a period before and after the sample is 2.4
 CHANCE = 1e-3  # of errors of a run as large as those found: below, it is the diagram that is wrong, and they stay open
 
@@ -149,7 +151,7 @@ class OpenAngle:
             run, root, names = search.runs[r], search.root(k, r), search.systems[k].equations.outputs
             own, which = search.columns(k, r), np.flatnonzero(self.of_run(run))
             y, _ = search.simulated(evaluation.unknowns, k, r, evaluation.sub, sensitivities=False)
-            if not len(which) or float(np.sum((root * y * self.std(run)[:, None]) ** 2)) < SHOWN:
+            if not len(which) or float(np.sum((root * y * self.std(run)[:, None]) ** 2)) < ANGLE_SHOWN:
                 continue
             known = np.isfinite(search.measured[k][r])
             D = np.empty((root.size, len(which)))
@@ -182,7 +184,7 @@ def _is_part(run: SampledRun, name: str) -> bool:
 
 def _few(curve: PulseCurve, time: np.ndarray) -> PulseCurve:
     few = curve.principal(np.asarray(time))
-    if few.root.shape[1] <= MOST_ERRORS:
+    if few.root.shape[1] <= ANGLE_ERRORS:
         return few
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (few.root.shape[1], MOST_ERRORS))
-    return replace(few, root=few.root @ signs / np.sqrt(MOST_ERRORS))
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (few.root.shape[1], ANGLE_ERRORS))
+    return replace(few, root=few.root @ signs / np.sqrt(ANGLE_ERRORS))

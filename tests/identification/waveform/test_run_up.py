@@ -17,7 +17,7 @@ from rotorsim.identification.waveform.late_pulses import on_time
 from rotorsim.identification.waveform.linearised import linearised, places_of
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import noise_model
-from rotorsim.identification.waveform.open_angle import CHANCE, MOST_ERRORS, OpenAngle, open_angle
+from rotorsim.identification.waveform.open_angle import ANGLE_ERRORS, CHANCE, OpenAngle, open_angle
 from rotorsim.identification.waveform.recorded.along_angle import (
     along_angle,
     is_in_time,
@@ -178,7 +178,7 @@ def test_errors_of_an_angle_are_those_of_its_speed_and_acceleration():
     curve = turning(made, run).curve
     angle = open_angle(load("jeffcott"), made, [sampled])
     off = [angle.turned(sampled, one) for one in np.eye(len(angle.errors))]
-    assert len(off) == min(curve.principal(run.time).root.shape[1], MOST_ERRORS)
+    assert len(off) == min(curve.principal(run.time).root.shape[1], ANGLE_ERRORS)
     for other in off[:: len(off) // 3]:
         theta, speed = (other.values[name] - sampled.values[name] for name in ("clock.theta", "clock.speed"))
         assert 0 < np.abs(theta)[inside].max() < 3 * JITTER * 600
