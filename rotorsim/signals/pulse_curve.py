@@ -73,14 +73,14 @@ class PulseCurve:
         return np.concatenate([np.linalg.norm(part, axis=1) for part in parts]) if parts else np.zeros(0)
 
     def principal(self, time: np.ndarray) -> PulseCurve:
-        """Return the curve with the fewest errors that make ``PRINCIPAL`` of the variance of the angle at instants.
+        """Return the curve with the fewest errors that make ``PRINCIPAL`` of the variance of the angle at any instant.
 
-        On average over the instants, each in units of its own.
+        Of an average those about a jump of the acceleration are no part.
         """
         own = self.errors(time[:: max(len(time) // (4 * len(self.a)), 1)])
         own /= np.linalg.norm(own, axis=1)[:, None]
         squares, turned = np.linalg.eigh(own.T @ own)
-        share = np.cumsum(squares[::-1]) / len(own)
+        share = np.cumsum((own @ turned[:, ::-1]) ** 2, axis=1).min(axis=0)
         count = min(int(np.searchsorted(share, PRINCIPAL)) + 1, len(squares))
         return replace(self, root=self.root @ turned[:, ::-1][:, :count])
 

@@ -137,9 +137,13 @@ def test_principal_errors_make_the_variance_of_the_angle():
     curve = through(exact + 50e-6 * np.random.default_rng(1).normal(size=len(exact)))
     t = np.linspace(exact[0], exact[-1], 2000)
     few = curve.principal(t)
-    assert few.root.shape[1] < 0.7 * curve.root.shape[1]
-    share = np.mean((few.std(t) / curve.std(t)) ** 2)
-    assert share == pytest.approx(PRINCIPAL, abs=0.02)
+    assert few.root.shape[1] < curve.root.shape[1]
+    assert ((few.std(t) / curve.std(t)) ** 2).min() == pytest.approx(PRINCIPAL, abs=0.03)
+    held = SHAPES["ramp and hold"].pulses  # FAULT: about the corner the angle stayed open
+    curve = through(held + 50e-6 * np.random.default_rng(1).normal(size=len(held)))
+    few, t = curve.principal(np.linspace(0, 6, 4001)), np.linspace(held[0], held[-1], 4001)
+    assert few.root.shape[1] < 10
+    assert ((few.std(t) / curve.std(t)) ** 2).min() > PRINCIPAL - 0.03
 
 
 def test_many_pulses_are_no_other():
