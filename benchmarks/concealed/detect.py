@@ -21,7 +21,6 @@ Array = NDArray[Any]
 
 STEPS = 6
 TRIALS = 40
-RATE = 5000.0
 BY_HALVED_STEPS = ("jeffcott", "fe_rigid")  # their sets were made so
 
 
@@ -37,7 +36,12 @@ def detectability(
 ) -> float:
     """Return D; a coarser converter counts as the noise that it adds."""
     lanes = [k for k, run in enumerate(runs) if run.use == "identify"]
-    t = healthy.clock.t[0]
+    t, probes = healthy.clock.t[0], sum(not name.startswith("current") for name in healthy.signals)
+    grain = len(lanes) * len(t) * probes * (coarse**2 / 12 / instruments.noise[0] ** 2) ** 2
+    if any(run.acceleration for run in runs):
+        return float(
+            np.sqrt(_along_ramps(machine, parameters, runs, lifted, healthy, faulty, instruments.noise) + grain)
+        )
     middle = float(t.mean())
     model = Healthy(machine, parameters, [runs[k] for k in lanes], lifted + middle)
     names = list(healthy.signals)  # probes, then currents
@@ -64,43 +68,37 @@ def detectability(
 
     search = _least if machine in BY_HALVED_STEPS else _least_trusted
     left = search(residual, parameters, tuple(FREE[machine]))
-    samples = len(lanes) * len(t) * 2 * currents.count(False)
-    grain = coarse**2 / 12 / instruments.noise[0] ** 2
-    return float(np.sqrt(max(beyond, 0.0) + left + samples / 2 * grain**2))
+    return float(np.sqrt(max(beyond, 0.0) + left + grain))
 
 
-def along_ramps(
+def _along_ramps(
     machine: str,
     parameters: dict[str, float],
     runs: list[Run],
     lifted: float,
     healthy: Motion,
     faulty: Motion,
-    instruments: Instruments,
-    coarse: float,
+    noise: tuple[float, float],
 ) -> float:
-    """Return D along run-ups: one step of the free parameters, by differences of simulations."""
+    """Return D^2 along run-ups: after one step of the free parameters, by differences of simulations."""
     lanes = [k for k, run in enumerate(runs) if run.use == "identify"]
+    t = healthy.clock.t[0]
 
     def seen(motion: Motion) -> Array:
-        signals = [
-            motion.signals[name][lanes] / instruments.noise[int(name.startswith("current"))] for name in motion.signals
-        ]
-        values = np.concatenate([signal.ravel() for signal in signals])
+        shown = motion.signals.items()
+        values = np.concatenate([(own[lanes] / noise[name.startswith("current")]).ravel() for name, own in shown])
         return np.concatenate([values.real, values.imag])
 
     here, columns = seen(healthy), []
     for name in FREE[machine]:
         size = 1e-4 * (1.0 if _is_angle(name) else abs(parameters[name]))
-        moved = Simulation(machine, parameters | {name: parameters[name] + size}, runs, RATE, lifted=lifted).run()
-        columns.append(seen(moved) - here)
+        moved = parameters | {name: parameters[name] + size}
+        columns.append(seen(Simulation(machine, moved, runs, 1 / (t[1] - t[0]), lifted=lifted).run()) - here)
     J = np.stack(columns, axis=1)
     J /= np.sqrt((J**2).sum(axis=0))
     wanted = seen(faulty) - here
     left = wanted - J @ np.linalg.lstsq(J, wanted, rcond=1e-9)[0]
-    samples = len(here) * sum(not name.startswith("current") for name in healthy.signals) / len(healthy.signals)
-    grain = coarse**2 / 12 / instruments.noise[0] ** 2
-    return float(np.sqrt(left @ left + samples / 2 * grain**2))
+    return float(left @ left)
 
 
 def _is_angle(name: str) -> bool:

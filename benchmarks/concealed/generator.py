@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.concealed.detect import RATE, along_ramps, detectability
+from benchmarks.concealed.detect import detectability
 from benchmarks.concealed.machines import DRAWN, GAINS, MACHINES, PLAIN
 from benchmarks.concealed.measuring import Instruments, draw_instruments
 from benchmarks.concealed.plant import Gains
@@ -17,6 +17,7 @@ from benchmarks.concealed.simulate import Motion, Run, Simulation
 
 _ = (loop, mechanical, outside, sensors)  # they enter their rows
 
+RATE = 5000.0
 KINDS = ("nothing", "one", "two", "alias", "outside")
 MIX = (0.15, 0.50, 0.12, 0.08, 0.15)
 LEAST, LEAST_BEAM = 10.0, 15.0  # detectability below which a fault is drawn again, larger
@@ -248,8 +249,7 @@ def make_case(
         instruments = draw_instruments(rng, (largest, current))
         case = Case(name, kind, machine, faults, parameters, runs, lifted, instruments, motion, 0.0, attempt)
         if faults:
-            visible = along_ramps if ramps else detectability
-            case.visible = visible(machine, parameters, runs, lifted, healthy, motion, instruments, case.coarse)
+            case.visible = detectability(machine, parameters, runs, lifted, healthy, motion, instruments, case.coarse)
         if kind not in ("one", "two", "outside") or case.visible >= (LEAST if machine == "jeffcott" else LEAST_BEAM):
             return case
         least = min(0.9, least + 0.15)

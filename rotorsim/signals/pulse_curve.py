@@ -44,7 +44,8 @@ GAUSS = np.polynomial.legendre.leggauss(4)  # exact for squares of second and th
 class PulseCurve:
     """An angle over time, sign (trend(u) + sum_k a_k b_k(u)), u = (t - centre) / half; b_k: B-splines, a (q,).
 
-    root (q, d): R R^T is the covariance of a, trend and all, of independent errors of one standard deviation.
+    root (q, d): R R^T is the covariance of a, trend and all, of independent errors of one standard deviation. spline:
+    of which it is made, by which it is made anew with jumps elsewhere.
     """
 
     trend: Polynomial
@@ -53,7 +54,8 @@ class PulseCurve:
     root: np.ndarray
     centre: float
     half: float
-    sign: float = 1.0
+    sign: float
+    spline: _Spline
 
     def __call__(self, time: np.ndarray, order: int = 0) -> np.ndarray:
         """Return the angle or a derivative by time at instants, (n,) [rad / s^order]."""
@@ -84,6 +86,18 @@ class PulseCurve:
         count = min(int(np.searchsorted(share, PRINCIPAL)) + 1, len(squares))
         return replace(self, root=self.root @ turned[:, ::-1][:, :count])
 
+    def with_corners(self, errors: np.ndarray) -> PulseCurve | None:
+        """Return it with jumps where the speed would not jump, with errors (q,) of the coefficients; None without any.
+
+        Left and right of a jump of W by w and of W' by b are straight: they meet w / b before it.
+        """
+        jumps = np.array(self.spline.jumps)
+        if not len(jumps):
+            return None
+        sides = np.nextafter(jumps, np.array([[-2.0], [2.0]]))
+        w, b = (np.diff(BSpline(self.knots, self.a + errors, DEGREE)(sides, k), axis=0)[0] for k in (1, 2))
+        return self.spline.moved(-w / b).curve(self.trend, self.centre, self.half, self.sign)
+
 
 def curve_through(
     times: np.ndarray, turned: np.ndarray, weight: np.ndarray, least: float, sign: float = 1.0
@@ -96,7 +110,7 @@ def curve_through(
     u, order = (times - centre) / half, WANDERING if len(times) >= LEAST_SMOOTHED else 2
     trend = Polynomial.fit(u, turned, order - 1, domain=(-1, 1), w=weight)
     spline = _Spline(u, (turned - trend(u)) * weight, weight, order, least).with_jumps()
-    return PulseCurve(trend, spline.knots, spline.a, spline.root, centre, half, sign)
+    return spline.curve(trend, centre, half, sign)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +204,22 @@ class _Spline:
             if found.cost > before - 1:
                 break
         return found
+
+    def curve(self, trend: Polynomial, centre: float, half: float, sign: float) -> PulseCurve:
+        """Return the angle over time of which it is what differs from a trend."""
+        return PulseCurve(trend, self.knots, self.a, self.root, centre, half, sign, self)
+
+    def moved(self, by: np.ndarray) -> _Spline:
+        """Return it with its jumps elsewhere, within JUMP_PULSES pulses of where they are and away from the others."""
+        jumps = list(self.jumps)
+        for k, far in enumerate(by):
+            at = int(np.searchsorted(self.u, jumps[k]))
+            apart = self._apart(jumps[:k] + jumps[k + 1 :])
+            place = float(
+                np.clip(jumps[k] + far, *self.u[np.clip([at - JUMP_PULSES, at + JUMP_PULSES], 0, len(self.u) - 1)])
+            )
+            jumps[k] = place if apart[min(int(np.searchsorted(self.u, place)), len(apart) - 1)] else jumps[k]
+        return replace(self, jumps=tuple(sorted(jumps)))
 
     @property
     def _rough(self) -> bool:

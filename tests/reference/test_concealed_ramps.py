@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.concealed import generator
 from benchmarks.concealed.core import Core
-from benchmarks.concealed.detect import RATE
+from benchmarks.concealed.generator import RATE
 from benchmarks.concealed.machines import MACHINES, fe_rigid, nominal_parameters
 from benchmarks.concealed.plant import switching
 from benchmarks.concealed.simulate import Run, Simulation

@@ -1,6 +1,6 @@
 """The shaft angle between pulses, for speeds of every shape that are known exactly: exact, sampled and rough pulses."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import tau
 
 import numpy as np
@@ -152,6 +152,18 @@ def test_many_pulses_are_no_other():
     curve = through(own.pulses)
     t = np.linspace(*own.pulses[[0, -1]], 20_000)
     assert np.abs(curve(t) - own.angle(t)).max() < np.radians(0.1)
+
+
+@pytest.mark.parametrize("off", [0.02, -0.02])
+def test_a_jump_moves_to_where_the_speed_does_not_jump(off):
+    """By 20 ms to within 10, and then to 0.3, as (b d)^2 is to b d; a curve without a jump stays as it is."""
+    curve = through(SHAPES["ramp and hold"].pulses)
+    spline = replace(curve.spline, jumps=(curve.spline.jumps[0] + off / curve.half,))
+    moved = spline.curve(curve.trend, curve.centre, curve.half, curve.sign)
+    for most in (0.01, 3e-4):
+        moved = moved.with_corners(np.zeros(len(moved.a)))
+        assert abs(moved.centre + moved.half * moved.spline.jumps[0] - 5.2) < most
+    assert through(SHAPES["ramp"].pulses).with_corners(np.zeros(1)) is None
 
 
 @settings(max_examples=60, deadline=None)

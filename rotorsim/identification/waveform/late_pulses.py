@@ -7,16 +7,15 @@ of the angle are fitted beside the parameters: `rotorsim.identification.waveform
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-
-import numpy as np
 
 from rotorsim.diagram.diagram import Diagram
 from rotorsim.identification.waveform.driven.equations import clock_ports
+from rotorsim.identification.waveform.evaluation import Evaluation, Label
 from rotorsim.identification.waveform.noise import weights_of
 from rotorsim.identification.waveform.noise_model import NoiseModel, noise_model
-from rotorsim.identification.waveform.open_angle import OpenAngle, open_angle
+from rotorsim.identification.waveform.open_angle import OpenAngle, open_angle, with_estimated_angle
 from rotorsim.identification.waveform.recorded.along_angle import lateness, turned_later
 from rotorsim.identification.waveform.recorded.data import Channels, SampledRun
 from rotorsim.identification.waveform.recorded.reading import read_runs
@@ -24,8 +23,6 @@ from rotorsim.identification.waveform.search import OutputErrorSearch
 from rotorsim.identification.waveform.sensors import with_sensor_errors
 from rotorsim.identification.waveform.subsystems import subsystems_of
 from rotorsim.recordings.recording import Recording, Run
-
-LATE_PASSES = 2  # Gauss-Newton steps: what is left is of second order in an angle of a few degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,18 +50,14 @@ def on_time(diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], re
     angle = open_angle(diagram, recording, runs, lateness(recording)) if turns else OpenAngle(diagram)
     if not angle.errors or not angle.shows(runs, noise.variance):
         return OnTime(tuple(runs), noise, angle)
-    c, given = np.zeros(len(angle.errors)), angle
-    for _ in range(LATE_PASSES if angle.late else 1):
-        turned = [given.turned(run, c) for run in runs]
-        search = OutputErrorSearch(
-            subsystems_of(diagram, channels), turned, weights_of(noise.variance, runs, noise.rows), noise.least
-        )
-        start = search.first(noise.starts)
-        start[: search.m] = noise.theta
-        c, angle = given.heard(search, search.minimise(start), c)
-    turned = [given.turned(run, c) for run in runs]
-    shift = given.late * float(c[0]) if given.late else 0.0
-    return OnTime(tuple(turned), noise_model(diagram, channels, turned, noise), angle, shift)
+    systems = subsystems_of(diagram, channels)
+    weights = weights_of(noise.variance, runs, noise.rows)
+
+    def fitted(turned: Sequence[SampledRun]) -> tuple[OutputErrorSearch, Evaluation]:
+        return _fitted(OutputErrorSearch(systems, turned, weights, noise.least), noise, noise.starts)
+
+    turned, angle, shift = with_estimated_angle(angle, runs, fitted)
+    return OnTime(turned, noise_model(diagram, channels, turned, noise), angle, shift)
 
 
 def held_on_time(
@@ -81,27 +74,34 @@ def held_on_time(
         if runs and _turn(diagram, channels):
             runs = [turned_later(run, diagram, timed.shift) for run in runs]
             runs = with_sensor_errors(diagram, channels, runs, noise, known=False)
-            runs = _as_heard(diagram, channels, runs, recording, noise)
+            runs = _with_angle(diagram, channels, runs, recording, noise)
         found += runs
     return tuple(found)
 
 
-def _as_heard(
+def _with_angle(
     diagram: Diagram, channels: Channels, runs: Sequence[SampledRun], recording: Recording, noise: NoiseModel
 ) -> Sequence[SampledRun]:
+    """Return held-out runs with the angle that their motion tells."""
     angle = open_angle(diagram, recording, runs)
     if not angle.errors or not angle.shows(runs, noise.variance):
         return runs
     [whole, *_] = subsystems_of(diagram, channels)
     weights = {signal: 1 / value for signal, value in noise.variance.items()}
-    search = OutputErrorSearch((whole,), runs, weights, noise.least, hold="theta")
-    start = search.first()
+
+    def fitted(turned: Sequence[SampledRun]) -> tuple[OutputErrorSearch, Evaluation]:
+        return _fitted(OutputErrorSearch((whole,), turned, weights, noise.least, hold="theta"), noise)
+
+    return with_estimated_angle(angle, runs, fitted)[0]
+
+
+def _fitted(
+    search: OutputErrorSearch, noise: NoiseModel, starts: Mapping[Label, float] | None = None
+) -> tuple[OutputErrorSearch, Evaluation]:
+    """Return a search and its end, from the parameters as they are known."""
+    start = search.first(starts)
     start[: search.m] = noise.theta
-    here = search.minimise(start)
-    if not np.isfinite(here.cost):
-        return runs
-    c, _ = angle.heard(search, here, np.zeros(len(angle.errors)))
-    return [angle.turned(run, c) for run in runs]
+    return search, search.minimise(start)
 
 
 def _turn(diagram: Diagram, channels: Channels) -> bool:

@@ -10,7 +10,7 @@ and H^-1 h K^-1 h^T H^-1 is added to that of theta: the scatter of stretches sho
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -34,6 +34,8 @@ ANGLE_SHOWN = (
     0.01  # sum of squares of weighted changes: below, no parameter goes by more than 0.1 of its standard deviation
 )
 ANGLE_ERRORS = 32  # of a run; of more, so many sums with random signs: a standard deviation is known to 1/8 of itself
+LATE_PASSES = 2  # Gauss-Newton steps: what is left is of second order in an angle of a few degrees
+CORNER_PASSES = 3  # the first two move a corner: by all that is linear in it, and by the rest
 LARGEST_LATE = 2.0  # standard deviations: a period before and after the sample is 2.4
 CHANCE = 1e-3  # of errors of a run as large as those found: below, it is the diagram that is wrong, and they stay open
 
@@ -60,6 +62,11 @@ class OpenAngle:
     curves: Mapping[str, PulseCurve] = field(default_factory=dict)
     factor: np.ndarray | None = None
 
+    @property
+    def has_corners(self) -> bool:
+        """Whether an acceleration may jump in any run."""
+        return any(curve.spline.jumps for curve in self.curves.values())
+
     @cached_property
     def errors(self) -> list[str]:
         """The run that each error is of, "" of the one of all."""
@@ -78,12 +85,34 @@ class OpenAngle:
         for name, curve in self.curves.items():
             if _is_part(run, name):
                 own = c[[one == name for one in self.errors]]
-                ports = [port for port in clock_ports(self.diagram) if port in run.values]
-                orders = {port: list(ANGLE_UNITS).index(port.rpartition(".")[2]) for port in ports}
                 alone = replace(curve, root=(curve.root @ own)[:, None])
-                off = {port: run.values[port] + alone.errors(run.time, k)[:, 0] for port, k in orders.items()}
+                orders = self._orders(run).items()
+                off = {port: run.values[port] + alone.errors(run.time, k)[:, 0] for port, k in orders}
                 run = replace(run, values={**run.values, **off})
         return run
+
+    def with_corners(self, c: np.ndarray) -> OpenAngle | None:
+        """Return it where speeds that errors c (E,) give do not jump, of curves that may; None where none may.
+
+        Where a corner is, pulses tell to some of them; an error of that is linear in the angle only beside it.
+        """
+        own = {name: c[[one == name for one in self.errors]] for name in self.curves}
+        found = {name: curve.with_corners(curve.root @ own[name]) for name, curve in self.curves.items()}
+        moved = {name: _few(curve) for name, curve in found.items() if curve is not None}
+        return replace(self, curves={**self.curves, **moved}) if moved else None
+
+    def instead(self, before: OpenAngle, run: SampledRun) -> SampledRun:
+        """Return a run whose angle follows these curves, where it followed those before."""
+        values = dict(run.values)
+        for name, curve in self.curves.items():
+            for port, k in self._orders(run).items() if _is_part(run, name) else ():
+                values[port] = values[port] + curve(run.time, k) - before.curves[name](run.time, k)
+        return replace(run, values=values)
+
+    def _orders(self, run: SampledRun) -> dict[str, int]:
+        """Return which derivative of the angle each port of the clock has."""
+        ports = [port for port in clock_ports(self.diagram) if port in run.values]
+        return {port: list(ANGLE_UNITS).index(port.rpartition(".")[2]) for port in ports}
 
     def std(self, run: SampledRun) -> np.ndarray:
         """Return the standard deviation of the angle of a run, (N,) [rad]."""
@@ -105,7 +134,9 @@ class OpenAngle:
                     return True
         return False
 
-    def heard(self, search: OutputErrorSearch, evaluation: Evaluation, c: np.ndarray) -> tuple[np.ndarray, OpenAngle]:
+    def estimated(
+        self, search: OutputErrorSearch, evaluation: Evaluation, c: np.ndarray
+    ) -> tuple[np.ndarray, OpenAngle]:
         """Return the errors (E,) that the motion shows beside all that is searched, and what is open then.
 
         c (E,): those of the runs of the search. Where a run shows errors that its pulses exclude, they stay open.
@@ -174,7 +205,7 @@ def open_angle(diagram: Diagram, recording: Recording, runs: Iterable[SampledRun
         own = next((one for one in recording.runs if _is_part(run, one.id)), None)
         curve = None if own is None or own.id in curves else turning(recording, own).curve
         if own is not None and curve is not None:
-            curves[own.id] = _few(curve, own.time)
+            curves[own.id] = _few(curve)
     return OpenAngle(diagram, late, curves)
 
 
@@ -182,9 +213,34 @@ def _is_part(run: SampledRun, name: str) -> bool:
     return run.id == name or run.id.startswith(f"{name} from ")
 
 
-def _few(curve: PulseCurve, time: np.ndarray) -> PulseCurve:
-    few = curve.principal(np.asarray(time))
+def _few(curve: PulseCurve) -> PulseCurve:
+    few = curve.principal(curve.centre + curve.half * np.linspace(-1.0, 1.0, 4 * len(curve.a)))
     if few.root.shape[1] <= ANGLE_ERRORS:
         return few
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (few.root.shape[1], ANGLE_ERRORS))
     return replace(few, root=few.root @ signs / np.sqrt(ANGLE_ERRORS))
+
+
+Fitted = Callable[[Sequence[SampledRun]], tuple[OutputErrorSearch, Evaluation]]
+
+
+def with_estimated_angle(
+    angle: OpenAngle, runs: Sequence[SampledRun], fitted: Fitted
+) -> tuple[tuple[SampledRun, ...], OpenAngle, float]:
+    """Return runs whose angle is as their motion tells, what is open then, and by how much pulses were late [s].
+
+    fitted: what is fitted to runs, and how it ended.
+    """
+    c, left, turned = np.zeros(len(angle.errors)), angle, tuple(runs)
+    passes = max(LATE_PASSES if angle.late else 1, CORNER_PASSES if angle.has_corners else 1)
+    for k in range(passes):
+        search, evaluation = fitted(turned)
+        if not np.isfinite(evaluation.cost):
+            return tuple(runs), angle, 0.0
+        c, left = angle.estimated(search, evaluation, c)
+        moved = angle.with_corners(c) if k < passes - 1 else None
+        if moved is not None:
+            runs, late = [moved.instead(angle, run) for run in runs], c[: bool(angle.late)]
+            c, angle = np.concatenate([late, np.zeros(len(moved.errors) - len(late))]), moved
+        turned = tuple(angle.turned(run, c) for run in runs)
+    return turned, left, angle.late * float(c[0]) if angle.late else 0.0

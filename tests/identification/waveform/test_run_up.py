@@ -228,6 +228,8 @@ def test_the_motion_tells_the_angle_between_pulses():
     assert np.std(before) > 2e-3
     assert np.std(after) < np.std(before) / 3
     [curve] = timed.angle.curves.values()
+    corner = curve.centre + curve.half * curve.spline.jumps[0]
+    assert corner == pytest.approx(2.2, abs=1e-3)  # by pulses to 4 ms
     said = np.linalg.norm(curve.errors(runs[0].time) @ timed.angle.factor, axis=1)
     assert np.mean(after**2) < 2 * np.mean(said**2)
     assert timed.noise.variance["", "rotor.displacement[1]"] < 1.2 * (3e-8) ** 2 * 11 / 9
