@@ -40,6 +40,7 @@ SHORT = 8192  # samples of all runs, from their beginning, on which a start is c
 # independent samples (of 2000 in all, as SHORT parts 15000) scatters by sqrt(2/900 + 2/750) = 7 %, a third of that
 LATER = 1.2
 SHOT_SUBSTEPS = 4  # times the steps that the diagram needs: of what is faster, parts of runs are not fitted one by one
+CARRIED_ON = 25  # evaluations on all samples of run-ups: what data determine takes no more (`MOST_SIMULATIONS`)
 LAST_STEPS = 12  # on all samples after that
 FEW_STEPS = 3  # on all samples, until it is known which fits are worth more
 PROMISED_PARTS = 2  # of long runs what laws promise is judged on every second part
@@ -164,7 +165,7 @@ class WaveformFits(SampledRuns):
         last = LAST_STEPS if effort.most is None else FEW_STEPS
         search = self.search(document)
         if [*starts] == [[{}]]:
-            most = effort.most if self.parts and effort.most else limit
+            most = (effort.most or CARRIED_ON) if self.parts else limit
             return self._summary(document, search, search.minimise(self.first_point(search), most))
         short, first = self._short(search)
         groups = starts or [[{}, self.near]]
