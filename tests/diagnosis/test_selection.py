@@ -410,7 +410,7 @@ def test_before_another_effect_is_looked_for_nothing_is_left_out_that_promises_a
 
     trials = SimpleNamespace(
         round=lambda before: Round(before, (mode,), untried=((delay.insertion, ({}, [])),)),
-        evidence=SimpleNamespace(with_drift=lambda: None),
+        evidence=SimpleNamespace(costly=False, with_drift=lambda: None),
         counts={},
         slack=0.0,
         completed=completed,

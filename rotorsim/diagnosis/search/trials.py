@@ -144,7 +144,7 @@ class Trials:
             begun |= zip(others, self._fit([jobs[k] for k in others], effort), strict=True)
             rivals = (*at_rival_places(found, promises, before, [*begun]), *screened.elsewhere)
             elsewhere = [(found[k], jobs[k]) for k in rivals if k not in begun]
-            left = [k for k, one in enumerate(promises) if one is not None and k not in begun]
+            left = [k for k, one in enumerate(screened.promises) if one is not None and k not in begun]
             untried = [(found[k], jobs[k]) for k in left]
         else:
             jobs = near_laws(jobs, screened.laws)

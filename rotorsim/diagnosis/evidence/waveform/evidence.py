@@ -285,7 +285,7 @@ class WaveformEvidence(WaveformFits, Defaults):
         return evidence, fit
 
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
-        """Return how well controllers follow from measured motion alone, structure that is left, laws, and units.
+        """Return how well controllers follow from measured motion, what is not looked for, or left, laws, and units.
 
         Of laws, in which runs they are taken beyond where they are defined; of units, which stand for others in the
         blocks that are put in.
@@ -297,6 +297,10 @@ class WaveformEvidence(WaveformFits, Defaults):
             for (controller, name), value in self.variance.items()
             if controller
         ]
+        if not inserted and (below := self._not_looked_for(after)):
+            text.append(
+                f"Of {', '.join(below)} {100 * CRITERIA.resolution:g} % counts as noise: less is not looked for."
+            )
         share = self.unexplained(after) if inserted else 0.0
         if share:
             text.append(f"What the repaired diagram leaves is not noise: {100 * share:.2g} % of it can be predicted.")
@@ -307,6 +311,12 @@ class WaveformEvidence(WaveformFits, Defaults):
             )
         units = {name.partition("[")[0]: self.recording.channels[c].unit for name, c in self.channels.columns.items()}
         return [*text, *stand_ins(self.load(after.document), inserted, units)]
+
+    def _not_looked_for(self, fit: Fit) -> list[str]:
+        """Return the outputs of which ``resolution`` counts as noise: the diagram leaves less of them."""
+        scale = variance_scale(self.search(values_in(fit.document, fit.values)))
+        least = {signal: CRITERIA.resolution**2 * value for signal, value in scale.items()}
+        return [name for (system, name), value in least.items() if self.variance[system, name] <= value * (1 + 1e-9)]
 
     def _undefined(self, fit: Fit) -> list[str]:
         """Return the runs, hold-out too, that a fitted diagram gets through only as laws go on where they end."""
