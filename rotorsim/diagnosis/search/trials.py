@@ -168,7 +168,7 @@ class Trials:
             Candidate(item, fit, self._astray(before, fit), k in ended)
             for k, (item, fit) in enumerate(zip(found, fits, strict=True))
         ]
-        tried += self._meant(before, tried, untried)
+        tried += [] if self.evidence.costly else self._meant(before, tried, untried)
         untried = [pair for pair in untried if pair[0].key not in {item.insertion.key for item in tried}]
         likely = None if likely is None else still_likely(likely, tried)
         ordered = tuple(simplest_first(tried, self.slack))
