@@ -61,6 +61,7 @@ def through(pulses: np.ndarray, doubt: float = 0.0):
     return curve_through(pulses, turned, speed.max() / np.maximum(speed, speed.max() / 10), least)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.0, 5e-6, 50e-6])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_curve_is_off_by_what_it_says(shape, jitter):
@@ -82,6 +83,7 @@ def test_a_curve_is_off_by_what_it_says(shape, jitter):
     assert np.sqrt(np.mean(off)) < max(jitter * own.speeds.max(), 0.004)  # nearer than a pulse, or to 0.2 deg
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 def test_pulses_on_samples_leave_no_more_than_they_say(shape):
     """Pulses on the samples of 5 kHz and about, less half a period: what samples add is white on average over rates.
@@ -100,6 +102,7 @@ def test_pulses_on_samples_leave_no_more_than_they_say(shape):
     assert np.sqrt(np.mean(off)) < own.speeds.max() / RATE / np.sqrt(12)
 
 
+@pytest.mark.slow
 def test_jumps_of_the_acceleration_are_found_where_they_are():
     """Four of a speed in steps; none in speeds that are smooth, however they bend."""
 

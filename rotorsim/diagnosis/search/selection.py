@@ -192,16 +192,16 @@ def _round(trials: Trials, before: Fit) -> Round:
 
     What imitates the law that is missing seldom does so at the place where that promises most; beside it another effect
     would be looked for in vain. Where the best leaves more than noise, all laws are tried at its place, and it where it
-    promises as much; beside one that explains half, promises are those of its parameters and motion. Of costly fits
-    only look-alikes of what is chosen follow (`_completed`).
+    promises as much; beside one that explains half, promises are those of its parameters and motion. Where fits
+    are costly only look-alikes of what is chosen follow (`_completed`).
     """
     found = trials.round(before)
     beside: Candidate | None = None
     for _ in range(LAW_AND_PLACE_TURNS):
         best, nearest = found.best, found.nearest
-        if best is None or nearest is None or not found.untried:
+        if best is None or nearest is None or not found.untried or trials.evidence.costly:
             break
-        if not (_leaves_noise(best.fit) or trials.evidence.costly):
+        if not _leaves_noise(best.fit):
             found = trials.completed(found, (), best.insertion, every=True)
             nearest = found.nearest or nearest
         if nearest.fit.misfit <= before.misfit / 2 and nearest is not beside:

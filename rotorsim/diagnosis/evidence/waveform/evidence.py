@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import isclose
 from operator import attrgetter
 from typing import Any, Self
 
@@ -285,10 +286,10 @@ class WaveformEvidence(WaveformFits, Defaults):
         return evidence, fit
 
     def remarks(self, before: Fit, after: Fit, inserted: Sequence[str]) -> list[str]:
-        """Return how well controllers follow from measured motion, what is not looked for, or left, laws, and units.
+        """Return how well controllers follow from measured motion alone, what is too small to be looked for, and more.
 
-        Of laws, in which runs they are taken beyond where they are defined; of units, which stand for others in the
-        blocks that are put in.
+        That is structure that is left, runs in which laws are taken beyond where they are defined, and units that stand
+        for others in the blocks that are put in.
         """
         measured = {name: np.concatenate([run.values[name] for run in self.runs]) for name in self.channels.outputs}
         text = [
@@ -297,10 +298,9 @@ class WaveformEvidence(WaveformFits, Defaults):
             for (controller, name), value in self.variance.items()
             if controller
         ]
-        if not inserted and (below := self._not_looked_for(after)):
-            text.append(
-                f"Of {', '.join(below)} {100 * CRITERIA.resolution:g} % counts as noise: less is not looked for."
-            )
+        if not inserted and (limited := self._limited_by_resolution(after)):
+            part, names = f"{100 * CRITERIA.resolution:g} % of the rms", ", ".join(limited)
+            text.append(f"Of {names} {part} counts as noise: smaller effects are not looked for.")
         share = self.unexplained(after) if inserted else 0.0
         if share:
             text.append(f"What the repaired diagram leaves is not noise: {100 * share:.2g} % of it can be predicted.")
@@ -312,11 +312,12 @@ class WaveformEvidence(WaveformFits, Defaults):
         units = {name.partition("[")[0]: self.recording.channels[c].unit for name, c in self.channels.columns.items()}
         return [*text, *stand_ins(self.load(after.document), inserted, units)]
 
-    def _not_looked_for(self, fit: Fit) -> list[str]:
-        """Return the outputs of which ``resolution`` counts as noise: the diagram leaves less of them."""
+    def _limited_by_resolution(self, fit: Fit) -> list[str]:
+        """Return the outputs of which ``Criteria.resolution`` counts as noise: less than that is left of them."""
         scale = variance_scale(self.search(values_in(fit.document, fit.values)))
-        least = {signal: CRITERIA.resolution**2 * value for signal, value in scale.items()}
-        return [name for (system, name), value in least.items() if self.variance[system, name] <= value * (1 + 1e-9)]
+        least = {name: CRITERIA.resolution**2 * scale[WHOLE_DIAGRAM, name] for name in self.channels.outputs}
+        noise = {name: self.variance[WHOLE_DIAGRAM, name] for name in least}
+        return [name for name, floor in least.items() if isclose(noise[name], floor)]
 
     def _undefined(self, fit: Fit) -> list[str]:
         """Return the runs, hold-out too, that a fitted diagram gets through only as laws go on where they end."""

@@ -58,8 +58,8 @@ def test_a_linear_oscillator_lacks_nothing(noise):
         assert abs(value - truth) < 4 * std
         assert std < 0.02 * truth
     assert found.score_before.total == pytest.approx(noise, rel=0.1, abs=1e-3)
-    said = "Of oscillator.displacement 0.1 % counts as noise: less is not looked for." in found.statement
-    assert said == (noise == 0.0)
+    said = "Of oscillator.displacement 0.1 % of the rms counts as noise: smaller effects are not looked for."
+    assert (said in found.statement) == (noise == 0.0)
 
 
 @pytest.mark.parametrize(("noise", "physics"), [(machines.NOISE, ()), (machines.NOISE, PHYSICS), (0.0, PHYSICS)])
